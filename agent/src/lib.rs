@@ -55,6 +55,5 @@ pub mod pictures;
 pub mod publish;
 pub mod session;
 pub mod status;
-pub mod usage;
 pub mod viewing;
 pub mod warm_start;

@@ -3,11 +3,9 @@
 use std::sync::{Arc, Mutex, PoisonError};
 use std::time::{Duration, SystemTime, UNIX_EPOCH};
 
-use cosurf_contract::{AgentEvent, AgentPhase, AgentStatus};
+use cosurf_contract::{AgentEvent, AgentPhase, AgentStatus, usage};
 use cosurf_link::{Identity, Outgoing, Transport};
 use cosurf_wire::Topic;
-
-use crate::usage;
 
 /// Time between two statuses.
 const EVERY: Duration = Duration::from_secs(5);

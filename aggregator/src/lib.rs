@@ -19,6 +19,7 @@
 //!  │   └─ broker, gateway     MQTT without another program; devices on serial lines
 //!  ├─ evaluate                how good a model or a mesh is
 //!  ├─ partition               which agent gets which ground
+//!  ├─ views                   pictures of a model in a file, within a limit of memory
 //!  └─ terminal ─► mesh        progress for people; depth to triangles
 //! ```
 //!
@@ -46,6 +47,7 @@ pub mod store;
 mod terminal;
 #[cfg(test)]
 mod testing;
+mod views;
 pub mod worker;
 
 pub use terminal::{Display, Meter};

@@ -30,4 +30,4 @@ mod volume;
 pub use error::MeshError;
 pub use event::{FuseEvent, Stage};
 pub use fuse::{FuseSettings, Fused, fuse};
-pub use model::mesh_model;
+pub use model::{check_memory, mesh_model};

@@ -22,19 +22,20 @@ mod watch;
 
 use std::fs;
 use std::ops::ControlFlow;
-use std::path::Path;
+use std::path::{Path, PathBuf};
 use std::sync::mpsc;
 
 use cosurf_link::BrokerAddress;
-use cosurf_scene::{Camera, Dataset, LocalFrame, SceneError, Splats, View, atomic, ply};
+use cosurf_scene::{Camera, Dataset, LocalFrame, SceneError, View, atomic};
 use cosurf_wire::{ModelHeader, SiteId};
 
 use crate::broker::{Broker, Reach, local_address};
 use crate::evaluate::{Judge, Quality, Yardsticks};
 use crate::outputs::{Relief, relief};
 use crate::report::{Drawings, EdgeSummary, MissionReport, Showcase, page, showcases};
-use crate::service::{Merging, global_ply, joined};
+use crate::service::{Merging, global_ply, write_joined};
 use crate::terminal::Meter;
+use crate::views::{ViewError, Views};
 use agents::{AgentCommand, AgentProcesses};
 use board::{Phase, Status};
 pub use city::MakeCityError;
@@ -57,17 +58,19 @@ pub fn fly(order: &MissionOrder, around: &Surroundings) -> Result<MissionReport,
         let progress = |done, of| show_pictures(around.display, done, of);
         city::make(city, &order.settings.data, progress)?;
     }
-    let dataset = Dataset::open(&order.settings.data)?;
+    let mut dataset = Dataset::open(&order.settings.data)?;
     // Read before the agents start, so that a wrong folder is reported before the training.
     let frame = LocalFrame::of(dataset.cameras_of_views());
     let yardsticks = Yardsticks::read(&order.settings.data, order.lpips.as_deref(), None, &frame)?;
     let fresh_site = SiteId::new(&format!("mission-{}", around.session))?;
     let plan = Plan::make(&dataset, &order.settings, &order.out, fresh_site)?;
+    dataset.points = Vec::new(); // only agents need them
     let Gathered { global, board, edges } = gather(order, around, &plan)?;
     let scene = Scene { dataset: dataset.into_frame(&frame), frame };
-    let splats = ply::read(&global_ply(&order.out), &frame)?;
-    let relief = mesh(order, around, &scene, splats.clone())?;
-    let evaluation = judge(order, around, &scene, &plan, splats, &yardsticks, &relief)?;
+    let relief = mesh(order, around, &scene)?;
+    let scored = judge(order, around, &scene, &plan, &yardsticks, &relief);
+    let (evaluation, scores_failure) = or_too_little_memory(scored)?;
+    let evaluation = evaluation.unwrap_or_default();
     let seconds = ((around.now)() - begun).as_secs_f64();
     let mut report = summarize(&plan, &order.settings, &board, &global, &evaluation.qualities);
     report.whole.seconds = seconds;
@@ -75,7 +78,9 @@ pub fn fly(order: &MissionOrder, around: &Surroundings) -> Result<MissionReport,
         Relief::Made { summary, .. } => report.whole.mesh = Some(summary),
         Relief::Missing(error) => report.whole.mesh_failure = Some(error.to_string()),
     }
-    report.whole.joined = judge_joined(order, around, &scene, &plan)?;
+    let (joined, failure) = or_too_little_memory(judge_joined(order, around, &scene, &plan))?;
+    report.whole.joined = joined.flatten();
+    report.whole.scores_failure = scores_failure.or(failure);
     report.whole.merging = Merging::read(&order.out);
     report.edges =
         plan.edges.iter().zip(&edges).map(|(edge, status)| summary(order, &plan, edge, status)).collect();
@@ -175,20 +180,41 @@ struct Scene {
     frame: LocalFrame,
 }
 
-/// Makes the mesh of the global model. The splats are in the scene's frame.
-fn mesh(
-    order: &MissionOrder,
-    around: &Surroundings,
-    scene: &Scene,
-    splats: Splats,
-) -> Result<Relief, MissionError> {
+impl Scene {
+    fn held_out(&self, plan: &Plan) -> Vec<&View> {
+        let views = self.dataset.views.iter().zip(&plan.views);
+        views.filter(|(_, planned)| planned.held_out).map(|(view, _)| view).collect()
+    }
+
+    /// The model in a PLY file, to be rendered within the memory of the mission's merges.
+    fn model(&self, file: PathBuf, order: &MissionOrder, around: &Surroundings) -> Result<Views, SceneError> {
+        Views::open(file, &self.frame, Some(order.settings.merge.memory_bytes), around.cores)
+    }
+}
+
+/// A result, or the reason if there is too little memory for it: a mission goes on without scores.
+fn or_too_little_memory<T>(
+    result: Result<T, MissionError>,
+) -> Result<(Option<T>, Option<String>), MissionError> {
+    match result {
+        Ok(value) => Ok((Some(value), None)),
+        Err(MissionError::View(error @ ViewError::TooLittleMemory { .. })) => {
+            Ok((None, Some(format!("{error}; allow more memory (--merge-memory)"))))
+        }
+        Err(error) => Err(error),
+    }
+}
+
+/// Makes the mesh of the global model.
+fn mesh(order: &MissionOrder, around: &Surroundings, scene: &Scene) -> Result<Relief, MissionError> {
     // Those that the agents trained on, as with `cosurf-aggregator run` and `mesh`.
     let cameras = Dataset::cameras(&order.out)?;
     let cameras: Vec<Camera> = cameras.iter().map(|camera| scene.frame.local_camera(camera)).collect();
     let mut meter = Meter::new(around.display);
     let file = order.out.join("mesh.ply");
     let memory_bytes = order.settings.merge.memory_bytes;
-    let relief = relief(splats, &cameras, &scene.frame, memory_bytes, around.cores, &file, |event| {
+    let model = global_ply(&order.out);
+    let relief = relief(&model, &cameras, &scene.frame, memory_bytes, around.cores, &file, |event| {
         meter.show_fusion(event, (around.now)().as_secs_f64());
         ControlFlow::Continue(())
     })?;
@@ -197,6 +223,7 @@ fn mesh(
 }
 
 /// The scores of the global model.
+#[derive(Default)]
 struct Evaluation {
     /// One entry for each held-out view, in the order of the views.
     qualities: Vec<Quality>,
@@ -204,20 +231,18 @@ struct Evaluation {
     showcases: Vec<Showcase>,
 }
 
-/// Scores the global model against the held-out photographs and, if the true surface is known, against that. `splats`
-/// are the global model's, read back from its file.
+/// Scores the global model against the held-out photographs and, if the true surface is known, against that.
 fn judge(
     order: &MissionOrder,
     around: &Surroundings,
     scene: &Scene,
     plan: &Plan,
-    splats: Splats,
     yardsticks: &Yardsticks,
     relief: &Relief,
 ) -> Result<Evaluation, MissionError> {
-    let held_out = scene.dataset.views.iter().zip(&plan.views).filter(|(_, view)| view.held_out);
-    let views: Vec<&View> = held_out.map(|(view, _)| view).collect();
-    let mut judge = Judge::new(&splats, order.settings.max_size_px, around.cores, yardsticks);
+    let views = scene.held_out(plan);
+    let model = scene.model(global_ply(&order.out), order, around)?;
+    let mut judge = Judge::new(model, order.settings.max_size_px, yardsticks);
     let mesh = match relief {
         Relief::Made { caster, .. } => Some(caster),
         Relief::Missing(_) => None,
@@ -235,12 +260,13 @@ fn judge_joined(
     scene: &Scene,
     plan: &Plan,
 ) -> Result<Option<Quality>, MissionError> {
-    let splats = joined(&lowest_folders(&order.out, plan), &scene.frame)?.splats;
+    let scratch = tempfile::tempdir_in(&order.out).map_err(|cause| SceneError::io(&order.out, cause))?;
+    let file = scratch.path().join("joined.ply");
+    write_joined(&lowest_folders(&order.out, plan), &file, &scene.frame)?;
     let without = Yardsticks { lpips: None, truth: None };
-    let mut judge = Judge::new(&splats, order.settings.max_size_px, around.cores, &without);
-    let held_out = scene.dataset.views.iter().zip(&plan.views).filter(|(_, view)| view.held_out);
-    let views: Vec<&View> = held_out.map(|(view, _)| view).collect();
-    Ok(Quality::mean(&judge.qualities(&views)?))
+    let model = scene.model(file, order, around)?;
+    let mut judge = Judge::new(model, order.settings.max_size_px, &without);
+    Ok(Quality::mean(&judge.qualities(&scene.held_out(plan))?))
 }
 
 fn write_report(
@@ -251,6 +277,6 @@ fn write_report(
 ) -> Result<(), MissionError> {
     let drawings = Drawings { cells: &plan.cells, views: &plan.views, showcases: &evaluation.showcases };
     atomic::write_bytes(&out.join("report.json"), &serde_json::to_vec_pretty(report)?)?;
-    atomic::write_bytes(&out.join("report.html"), page(report, &drawings)?.as_bytes())?;
+    atomic::write_bytes(&out.join("report.html"), page(report, &drawings).as_bytes())?;
     Ok(())
 }

@@ -9,12 +9,12 @@ mod relief;
 
 use std::ops::ControlFlow;
 
-use cosurf_engine::Renderer;
-use cosurf_scene::{Camera, Caster, Dataset, LocalFrame, atomic, evenly_spaced, files, ply};
+use cosurf_scene::{Camera, Caster, Dataset, LocalFrame, atomic, evenly_spaced, files};
 
 use crate::mesh::MeshError;
 use crate::report::{MeshSummary, SitePicture, SiteReport, site_page};
 use crate::service::{Merging, ReportError, ReportTask, Reported, file_hash, global_ply, remove};
+use crate::views::{ViewError, Views};
 pub(crate) use relief::{Relief, relief};
 
 /// Number of cameras whose views the report shows.
@@ -37,11 +37,16 @@ pub fn report(task: &ReportTask) -> Result<Reported, ReportError> {
         Mesh::Made { summary, blake3, caster } => (Some(summary), Some(blake3), None, Some(caster)),
         Mesh::Missing(reason) => (None, None, Some(reason), None),
     };
-    let pictures = pictures(task, &evenly_spaced(&cameras, VIEWS), &frame, caster)?;
+    let (pictures, pictures_failure) = match pictures(task, &evenly_spaced(&cameras, VIEWS), &frame, caster)?
+    {
+        Ok(pictures) => (pictures, None),
+        Err(reason) => (Vec::new(), Some(reason)),
+    };
     let (site, cameras) = (task.site.to_string(), cameras.len());
-    let report = SiteReport { site, cameras, mesh: summary, mesh_blake3, mesh_failure, merging };
+    let report =
+        SiteReport { site, cameras, mesh: summary, mesh_blake3, mesh_failure, pictures_failure, merging };
     let at = |name| task.folder.join(name);
-    atomic::write_bytes(&at("report.html"), site_page(&report, &pictures)?.as_bytes())?;
+    atomic::write_bytes(&at("report.html"), site_page(&report, &pictures).as_bytes())?;
     atomic::write_bytes(&at("report.json"), &serde_json::to_vec_pretty(&report)?)?;
     Ok(reported(&report, true))
 }
@@ -69,10 +74,9 @@ enum Mesh {
 }
 
 fn make_mesh(task: &ReportTask, cameras: &[Camera], frame: &LocalFrame) -> Result<Mesh, ReportError> {
-    let splats = ply::read(&global_ply(&task.folder), frame)?;
-    let file = task.folder.join("mesh.ply");
+    let (model, file) = (global_ply(&task.folder), task.folder.join("mesh.ply"));
     let goes_on = |_| if task.is_stopped() { ControlFlow::Break(()) } else { ControlFlow::Continue(()) };
-    match relief(splats, cameras, frame, task.memory_bytes, task.threads, &file, goes_on)? {
+    match relief(&model, cameras, frame, task.memory_bytes, task.threads, &file, goes_on)? {
         Relief::Made { summary, caster } => Ok(Mesh::Made { summary, blake3: file_hash(&file)?, caster }),
         Relief::Missing(MeshError::Stopped) => Err(ReportError::Stopped),
         Relief::Missing(error) => {
@@ -82,21 +86,29 @@ fn make_mesh(task: &ReportTask, cameras: &[Camera], frame: &LocalFrame) -> Resul
     }
 }
 
-/// What the model, and its mesh if there is one, show from some cameras.
+/// What the model, and its mesh if there is one, show from some cameras; the reason if that takes too much memory.
 fn pictures(
     task: &ReportTask,
     cameras: &[Camera],
     frame: &LocalFrame,
     mesh: Option<Caster>,
-) -> Result<Vec<SitePicture>, ReportError> {
+) -> Result<Result<Vec<SitePicture>, String>, ReportError> {
     let cameras: Vec<Camera> = cameras.iter().map(|camera| camera.fitted(PICTURE_PX)).collect();
     // First all of the mesh, so that mesh and splats are not in memory at once.
     let casts: Vec<_> = cameras.iter().map(|camera| Some(mesh.as_ref()?.cast(camera))).collect();
     drop(mesh);
-    let mut renderer = Renderer::new(&ply::read(&global_ply(&task.folder), frame)?, task.threads);
-    let mut picture = |(camera, mesh)| match task.is_stopped() {
-        true => Err(ReportError::Stopped),
-        false => Ok(SitePicture::of(&renderer.render(camera), mesh, frame.unit())),
-    };
-    cameras.iter().zip(casts).map(&mut picture).collect()
+    let mut views = Views::open(global_ply(&task.folder), frame, Some(task.memory_bytes), task.threads)?;
+    views.expect(cameras.clone());
+    let mut pictures = Vec::new();
+    for (camera, mesh) in cameras.iter().zip(casts) {
+        if task.is_stopped() {
+            return Err(ReportError::Stopped);
+        }
+        match views.render(camera) {
+            Ok(rendering) => pictures.push(SitePicture::of(&rendering, mesh, frame.unit())?),
+            Err(ViewError::Scene(error)) => return Err(error.into()),
+            Err(error) => return Ok(Err(error.to_string())),
+        }
+    }
+    Ok(Ok(pictures))
 }

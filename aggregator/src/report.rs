@@ -21,7 +21,7 @@ mod texts;
 
 pub use figures::{AgentSummary, EdgeSummary, MeshSummary, MissionReport, WholeSummary};
 pub(crate) use page::{Drawings, page};
-pub(crate) use showcase::{Showcase, showcases};
+pub(crate) use showcase::{Showcase, ShowcaseError, showcases};
 pub use site::SiteReport;
 pub(crate) use site::{SitePicture, site_page};
 pub use texts::table;

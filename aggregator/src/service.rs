@@ -73,7 +73,7 @@ pub(crate) use control::BROKER_ATTEMPTS_MAX;
 pub use control::{Command, ServiceConfig};
 pub use error::ServiceError;
 pub use event::ServiceEvent;
-pub(crate) use folder::joined;
+pub(crate) use folder::write_joined;
 pub use folder::{global_ply, senders};
 pub use receive::Service;
 pub use record::{FitRecord, Fitted, KeptOut, Merging, withdraw};

@@ -48,7 +48,13 @@ struct Case {
     name: &'static str,
     program: &'static str,
     words: Vec<String>,
+    /// The options that take the limit.
+    limits: &'static [&'static str],
+    /// A folder that must not be there when the command begins.
+    fresh: Option<PathBuf>,
 }
+
+const MEMORY: &[&str] = &["--memory"];
 
 fn main() -> Result<()> {
     let arguments = Arguments::parse();
@@ -87,20 +93,21 @@ enum Outcome {
 
 impl Case {
     fn run(&self, limit_mib: u64) -> Result<Outcome> {
-        let Self { name, words, .. } = self;
+        let Self { name, words, limits, fresh, .. } = self;
+        if let Some(folder) = fresh.as_ref().filter(|folder| folder.exists()) {
+            fs::remove_dir_all(folder)?;
+        }
         let mut command = Command::new(program(self.program));
-        command.args(words).arg("--memory").arg(format!("{limit_mib}MiB"));
+        let limit = format!("{limit_mib}MiB");
+        command.args(words).args(limits.iter().flat_map(|option| [*option, &limit]));
         let log = tempfile::NamedTempFile::new()?;
         command.stdin(Stdio::null()).stdout(Stdio::null()).stderr(log.reopen()?);
         let usage = watch(&mut command.spawn()?);
+        let peak_bytes = usage.peak_bytes.max(usage.largest_child_bytes);
         let told = fs::read_to_string(log.path())?;
-        ensure!(
-            usage.peak_bytes <= limit_mib * MIB,
-            "{name}: {} MiB within {limit_mib}: {told}",
-            usage.peak_bytes / MIB
-        );
+        ensure!(peak_bytes <= limit_mib * MIB, "{name}: {} MiB within {limit_mib}: {told}", peak_bytes / MIB);
         if usage.succeeded {
-            return Ok(Outcome::Kept(usage.peak_bytes));
+            return Ok(Outcome::Kept(peak_bytes));
         }
         let needed = needed_mib(&told).with_context(|| format!("{name} within {limit_mib} MiB: {told}"))?;
         Ok(Outcome::Refused(needed))
@@ -125,7 +132,7 @@ fn cases(arguments: &Arguments, folder: &Path) -> Result<Vec<Case>> {
         let mut words = vec!["train".into(), text(data), "--out".into(), out.clone(), "--fresh".into()];
         words.extend(["--steps", STEPS, "--compute", "cpu"].map(String::from));
         words.extend(init.into_iter().flat_map(|init| ["--init".into(), text(init)]));
-        Case { name, program: "cosurf-agent", words }
+        Case { name, program: "cosurf-agent", words, limits: MEMORY, fresh: None }
     };
     let (jpegs, pngs) =
         (enlarged(small, &folder.join("jpeg"), "jpg")?, enlarged(small, &folder.join("png"), "png")?);
@@ -148,7 +155,16 @@ fn cases(arguments: &Arguments, folder: &Path) -> Result<Vec<Case>> {
         words.push(text(data));
         words.extend(["--max-size", "320", "--compute", "cpu"].map(String::from));
         words.extend(if command == "render" { vec!["--out".into(), out.clone()] } else { Vec::new() });
-        Case { name, program: "cosurf-agent", words }
+        Case { name, program: "cosurf-agent", words, limits: MEMORY, fresh: None }
+    };
+    let aggregator =
+        |name, words| Case { name, program: "cosurf-aggregator", words, limits: MEMORY, fresh: None };
+    let fresh = folder.join("mission");
+    let mission = ["mission", "--data", &text(data), "--out", &text(&fresh), "--steps", STEPS];
+    let mission = Case {
+        limits: &["--memory", "--merge-memory"],
+        fresh: Some(fresh),
+        ..aggregator("mission, the largest of its processes", mission.map(String::from).to_vec())
     };
     let convert = ["convert".into(), text(&model), out.clone() + ".spz"];
     Ok(vec![
@@ -157,11 +173,12 @@ fn cases(arguments: &Arguments, folder: &Path) -> Result<Vec<Case>> {
         train("train, PNGs of 20 megapixels", &pngs, None),
         train("train, 2 million sparse points", &points, None),
         train("train, 1.4 million splats to begin with", data, Some(&model)),
-        Case { name: "merge, four models", program: "cosurf-aggregator", words: merge },
-        Case { name: "mesh, one model", program: "cosurf-aggregator", words: mesh.to_vec() },
+        aggregator("merge, four models", merge),
+        aggregator("mesh, one model", mesh.to_vec()),
         view("render, 1.4 million splats", "render", "--cameras"),
         view("eval, 1.4 million splats", "eval", ""),
-        Case { name: "convert, 1.4 million splats", program: "cosurf-aggregator", words: convert.to_vec() },
+        aggregator("convert, 1.4 million splats", convert.to_vec()),
+        mission,
     ])
 }
 

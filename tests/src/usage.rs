@@ -1,6 +1,7 @@
 //! What a child process takes, measured from outside.
 
 use std::fs;
+use std::path::PathBuf;
 use std::process::Child;
 use std::thread::sleep;
 use std::time::{Duration, Instant};
@@ -15,6 +16,8 @@ const TICKS: f64 = 100.0;
 pub struct Usage {
     /// Peak resident memory, bytes.
     pub peak_bytes: u64,
+    /// That of the process that it started itself and that took most, bytes; 0 if it started none.
+    pub largest_child_bytes: u64,
     /// Processor time of all threads, seconds.
     pub cpu_s: f64,
     /// Time from the call to the end of the process, seconds.
@@ -28,6 +31,8 @@ pub fn watch(child: &mut Child) -> Usage {
     let (begun, mut usage) = (Instant::now(), Usage::default());
     loop {
         usage.peak_bytes = usage.peak_bytes.max(peak_bytes(child.id()).unwrap_or(0));
+        let of_children = children(child.id()).into_iter().filter_map(peak_bytes).max().unwrap_or(0);
+        usage.largest_child_bytes = usage.largest_child_bytes.max(of_children);
         usage.cpu_s = usage.cpu_s.max(cpu_s(child.id()).unwrap_or(0.0));
         if let Some(status) = child.try_wait().unwrap() {
             return Usage { wall_s: begun.elapsed().as_secs_f64(), succeeded: status.success(), ..usage };
@@ -41,6 +46,16 @@ pub fn peak_bytes(process: u32) -> Option<u64> {
     let status = fs::read_to_string(format!("/proc/{process}/status")).ok()?;
     let line = status.lines().find_map(|line| line.strip_prefix("VmHWM:"))?;
     Some(line.trim().strip_suffix("kB")?.trim().parse::<u64>().ok()? << 10)
+}
+
+/// The processes that a process has started.
+fn children(process: u32) -> Vec<u32> {
+    let Ok(threads) = fs::read_dir(format!("/proc/{process}/task")) else { return Vec::new() };
+    let of_thread = |path: PathBuf| fs::read_to_string(path.join("children")).unwrap_or_default();
+    let lists = threads.flatten().map(|thread| of_thread(thread.path()));
+    lists
+        .flat_map(|list| list.split_whitespace().filter_map(|id| id.parse().ok()).collect::<Vec<_>>())
+        .collect()
 }
 
 /// Processor time in the program and in the kernel for it, seconds.

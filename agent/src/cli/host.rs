@@ -14,7 +14,7 @@ pub(super) fn cores() -> usize {
 /// The memory limit in bytes if the user gives none: two thirds of the free memory, at most 8 GiB. If the free memory
 /// is unknown, 2 GiB.
 pub(super) fn default_memory() -> u64 {
-    cosurf_agent::usage::available_bytes().map_or(2 << 30, |free| free / 3 * 2).min(8 << 30)
+    cosurf_contract::usage::available_bytes().map_or(2 << 30, |free| free / 3 * 2).min(8 << 30)
 }
 
 /// The device that is named after this computer.

@@ -8,8 +8,8 @@ use anyhow::{Result, bail};
 use clap::{Args, ValueEnum};
 use cosurf_agent::checkpoint::{self, Checkpoint, DamagedCheckpoint, Spent};
 use cosurf_agent::session::{Session, Split, TrainPlan};
-use cosurf_agent::{evaluate, outputs, usage};
-use cosurf_contract::{AgentEvent, DEFAULT_STEPS, ReadyReport, Share, TrainReport, counted};
+use cosurf_agent::{evaluate, outputs};
+use cosurf_contract::{AgentEvent, DEFAULT_STEPS, ReadyReport, Share, TrainReport, counted, usage};
 use cosurf_engine::{
     Backend, DeviceChoice, DeviceLost, PruneScore, PruneSettings, Renderer, SurfaceSettings,
 };

@@ -12,6 +12,7 @@ use cosurf_aggregator::mission::{MissionOrder, Settings, Surroundings, fly};
 use cosurf_aggregator::partition::{DEFAULT_MARGIN, Division, read_cells};
 use cosurf_aggregator::report::{MissionReport, table};
 use cosurf_city::CitySettings;
+use cosurf_contract::usage;
 use cosurf_link::BrokerAddress;
 use cosurf_scene::FolderLock;
 use cosurf_scene::bytes::parse_bytes;
@@ -180,14 +181,6 @@ fn surroundings(json: bool) -> Result<Surroundings> {
         agent: executable.with_file_name(format!("cosurf-agent{}", std::env::consts::EXE_SUFFIX)),
         display: display(json),
         interrupted,
-        peak_memory_bytes,
+        peak_memory_bytes: || Some(usage::peak_bytes()).filter(|bytes| *bytes > 0),
     })
-}
-
-/// Peak resident memory of this process, bytes: `VmHWM` on Linux, `None` elsewhere.
-fn peak_memory_bytes() -> Option<u64> {
-    let status = std::fs::read_to_string("/proc/self/status").ok()?;
-    let line = status.lines().find_map(|line| line.strip_prefix("VmHWM:"))?;
-    let kib: u64 = line.trim().strip_suffix("kB")?.trim().parse().ok()?;
-    Some(kib << 10)
 }

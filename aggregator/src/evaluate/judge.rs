@@ -1,16 +1,17 @@
 //! Scores a model on photographs, and on the true surface if it is known. Only missions and users have
 //! photographs. The receiving service never has any, so it cannot score models.
 
-use cosurf_engine::{Renderer, Rendering};
-use cosurf_scene::{Camera, Cast, Picture, SceneError, Splats, View, metrics};
+use cosurf_engine::Rendering;
+use cosurf_scene::{Camera, Cast, Picture, View, metrics};
 use tracing::debug_span;
 
 use super::quality::{Quality, Yardsticks};
 use super::surface::SurfaceQuality;
+use crate::views::{ViewError, Views};
 
 /// Scores a model by rendering it from the cameras of photographs.
 pub(crate) struct Judge<'a> {
-    renderer: Renderer,
+    model: Views,
     max_size_px: u32,
     yardsticks: &'a Yardsticks,
 }
@@ -28,25 +29,25 @@ pub(crate) struct Comparison {
 }
 
 impl<'a> Judge<'a> {
-    /// Copies the splats. Pictures are shrunk until their long side is at most `max_size_px`; `None` keeps their
-    /// size.
-    pub(crate) fn new(
-        splats: &Splats,
-        max_size_px: Option<u32>,
-        threads: usize,
-        yardsticks: &'a Yardsticks,
-    ) -> Self {
+    /// Pictures are shrunk until their long side is at most `max_size_px`; `None` keeps their size.
+    pub(crate) fn new(model: Views, max_size_px: Option<u32>, yardsticks: &'a Yardsticks) -> Self {
         let max_size_px = max_size_px.unwrap_or(u32::MAX);
-        Self { renderer: Renderer::new(splats, threads), max_size_px, yardsticks }
+        Self { model, max_size_px, yardsticks }
+    }
+
+    /// Tells which views will be asked for next.
+    pub(crate) fn expect<'v>(&mut self, views: impl Iterator<Item = &'v View>) {
+        self.model.expect(views.map(|view| view.camera.fitted(self.max_size_px)).collect());
     }
 
     /// The figures of some views, in their order.
-    pub(crate) fn qualities(&mut self, views: &[&View]) -> Result<Vec<Quality>, SceneError> {
+    pub(crate) fn qualities(&mut self, views: &[&View]) -> Result<Vec<Quality>, ViewError> {
+        self.expect(views.iter().copied());
         views.iter().map(|view| self.quality(view)).collect()
     }
 
     /// Computes all figures of a view.
-    pub(crate) fn quality(&mut self, view: &View) -> Result<Quality, SceneError> {
+    pub(crate) fn quality(&mut self, view: &View) -> Result<Quality, ViewError> {
         let _span = debug_span!("view", name = view.name).entered();
         let Comparison { camera, photograph, rendering, truth } = self.compare(view)?;
         let (size_px, wanted) = (photograph.size_px, photograph.to_unit());
@@ -60,10 +61,11 @@ impl<'a> Judge<'a> {
     }
 
     /// Reads the photograph of a view, and renders the model from the same camera.
-    pub(crate) fn compare(&mut self, view: &View) -> Result<Comparison, SceneError> {
+    pub(crate) fn compare(&mut self, view: &View) -> Result<Comparison, ViewError> {
         let camera = view.camera.fitted(self.max_size_px);
+        // The model first: how much of it fits depends on what the process holds already.
+        let mut rendering = self.model.render(&camera)?;
         let photograph = Picture::read_fitted(&view.path, camera.size_px)?;
-        let mut rendering = self.renderer.render(&camera);
         rendering.rgb.iter_mut().for_each(|value| *value = value.clamp(0.0, 1.0));
         let truth = self.yardsticks.truth.as_ref().map(|caster| caster.cast_areas(&camera));
         Ok(Comparison { camera, photograph, rendering, truth })
@@ -73,7 +75,7 @@ impl<'a> Judge<'a> {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use cosurf_scene::{Caster, Mesh, Pose};
+    use cosurf_scene::{Caster, LocalFrame, Mesh, Pose, Splats, ply};
     use glam::{DVec2, DVec3};
 
     fn from_above() -> Camera {
@@ -106,7 +108,10 @@ mod tests {
         level.push([0.0; 3], [1.0, 0.0, 0.0, 0.0], [6.0, 6.0, -6.0], 8.0, &[0.0; 3]);
         let yardsticks = Yardsticks { lpips: None, truth: Some(Caster::new(&furrowed())) };
         let view = View { name: "grey".into(), camera: from_above(), path };
-        let quality = Judge::new(&level, None, 1, &yardsticks).quality(&view).expect("a picture");
+        let file = folder.path().join("level.ply");
+        ply::write(&file, &level, &LocalFrame::WORLD).expect("a file");
+        let model = Views::open(file, &LocalFrame::WORLD, None, 1).expect("a model");
+        let quality = Judge::new(model, None, &yardsticks).quality(&view).expect("a picture");
         let surface = quality.surface.expect("a surface");
         // Of the three facets in a pixel, two slope in opposite directions and cancel out, so the mean has a third
         // of the slope. The facet at the pixel's centre alone would give 16.7°.

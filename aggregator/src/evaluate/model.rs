@@ -10,6 +10,7 @@ use tracing::info_span;
 use super::judge::Judge;
 use super::quality::{Quality, YardstickError, Yardsticks};
 use crate::terminal::aligned;
+use crate::views::{ViewError, Views};
 
 /// Which model to score, and against what.
 #[derive(Clone, Debug)]
@@ -58,6 +59,9 @@ pub enum EvalError {
     /// The model, the dataset or a picture cannot be read.
     #[error(transparent)]
     Scene(#[from] SceneError),
+    /// A picture cannot be rendered.
+    #[error(transparent)]
+    View(#[from] ViewError),
     /// The LPIPS weights or the true surface cannot be read.
     #[error(transparent)]
     Yardstick(#[from] YardstickError),
@@ -75,17 +79,18 @@ pub fn evaluate_model(order: &EvalOrder) -> Result<EvalReport, EvalError> {
     let dataset = Dataset::open(&order.data)?;
     let frame = LocalFrame::of(dataset.cameras_of_views());
     let dataset = dataset.into_frame(&frame);
-    let splats = ply::read(&ply::of_model(&order.model)?, &frame)?;
     let (lpips, truth) = (order.lpips.as_deref(), order.truth.as_deref());
     let yardsticks = Yardsticks::read(&order.data, lpips, truth, &frame)?;
-    let mut judge = Judge::new(&splats, order.max_size_px, order.threads, &yardsticks);
+    let model = Views::open(ply::of_model(&order.model)?, &frame, None, order.threads)?;
+    let splats = model.splats();
+    let mut judge = Judge::new(model, order.max_size_px, &yardsticks);
     let (_, held_out) = dataset.split(order.eval_every);
     let score = |view: &View| Ok(ViewQuality { name: view.name.clone(), quality: judge.quality(view)? });
     let views =
         held_out.iter().map(|&i| &dataset.views[i]).map(score).collect::<Result<Vec<_>, EvalError>>()?;
     let qualities: Vec<Quality> = views.iter().map(|view| view.quality).collect();
     let mean = Quality::mean(&qualities).ok_or_else(|| EvalError::NoViews { data: order.data.clone() })?;
-    Ok(EvalReport { splats: splats.len(), mean, views })
+    Ok(EvalReport { splats, mean, views })
 }
 
 /// The figures as a table for a terminal: one row for each view and one for the means, and one column for each

@@ -43,13 +43,26 @@ pub fn mesh_model(
         return Err(MeshError::NoSurface);
     }
     let _span = info_span!("mesh", splats = splats.len()).entered();
-    let needs = Needs::of(&splats);
+    let needs = Needs::of(splats.len(), splats.sh_degree);
     let cameras =
         fitted(&needs, &without_twins(cameras), max_size_px.unwrap_or(u32::MAX), settings.memory_bytes)?;
     let left = settings.memory_bytes - needs.bytes(&cameras);
     let mut renderer = BoundedRenderer::new(splats, &needs, threads);
     let settings = FuseSettings { memory_bytes: left + budget::frame_bytes(&cameras), ..*settings };
     fuse(&cameras, |camera| renderer.render(camera), &settings, on_event)
+}
+
+/// An error if a model with this many splats and this degree of spherical harmonics takes more memory than the whole process
+/// may. [`mesh_model`] would give the same error, but only when the splats are in memory.
+pub fn check_memory(
+    splats: usize,
+    sh_degree: u32,
+    cameras: &[Camera],
+    max_size_px: Option<u32>,
+    memory_bytes: u64,
+) -> Result<(), MeshError> {
+    let needs = Needs::of(splats, sh_degree);
+    fitted(&needs, cameras, max_size_px.unwrap_or(u32::MAX), memory_bytes).map(drop)
 }
 
 /// The cameras, each once: two agents that trained on the same picture both send its camera.
@@ -73,13 +86,13 @@ struct Needs {
 }
 
 impl Needs {
-    fn of(splats: &Splats) -> Self {
-        let pairs = (PAIRS_PER_MESHED_SPLAT * splats.len()).max(PAIRS_LEAST);
+    fn of(splats: usize, sh_degree: u32) -> Self {
+        let pairs = (PAIRS_PER_MESHED_SPLAT * splats).max(PAIRS_LEAST);
         // While the model is loaded, both the caller and the renderer hold its splats.
-        let costs = Costs::of(&Capacity::to_render(splats.sh_degree), None);
-        let per_splat = costs.splat + 4 * (11 + splats.sh_stride());
-        let bytes = PROCESS_BYTES + (splats.len() * per_splat + pairs * costs.pair) as u64;
-        Self { splats: splats.len(), pairs, bytes }
+        let costs = Costs::of(&Capacity::to_render(sh_degree), None);
+        let per_splat = costs.splat + Splats::bytes_per_splat(sh_degree);
+        let bytes = PROCESS_BYTES + (splats * per_splat + pairs * costs.pair) as u64;
+        Self { splats, pairs, bytes }
     }
 
     /// Bytes for rendering these cameras and for the view being fused.

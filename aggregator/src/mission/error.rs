@@ -10,7 +10,9 @@ use super::city::MakeCityError;
 use super::plan::PlanError;
 use crate::broker::BrokerError;
 use crate::evaluate::YardstickError;
+use crate::report::ShowcaseError;
 use crate::service::{BROKER_ATTEMPTS_MAX, ServiceError};
+use crate::views::ViewError;
 
 /// Why a mission did not end with a report.
 #[derive(Debug, thiserror::Error)]
@@ -28,6 +30,9 @@ pub enum MissionError {
     /// A file could not be read or written.
     #[error(transparent)]
     Scene(#[from] SceneError),
+    /// A picture for the report cannot be rendered.
+    #[error(transparent)]
+    View(#[from] ViewError),
     /// The LPIPS weights or the true surface cannot be read.
     #[error(transparent)]
     Yardstick(#[from] YardstickError),
@@ -81,4 +86,13 @@ pub enum MissionError {
     /// The report cannot be written as JSON.
     #[error("cannot write report.json: {0}")]
     Json(#[from] serde_json::Error),
+}
+
+impl From<ShowcaseError> for MissionError {
+    fn from(error: ShowcaseError) -> Self {
+        match error {
+            ShowcaseError::View(error) => error.into(),
+            ShowcaseError::Picture(error) => error.into(),
+        }
+    }
 }

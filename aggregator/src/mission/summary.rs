@@ -8,7 +8,7 @@ use crate::evaluate::Quality;
 use crate::report::{AgentSummary, MissionReport, WholeSummary};
 
 /// Makes the report from the agents' statuses and the global model's scores. `qualities` are the scores of the held-out
-/// views, in the order of the views. The caller fills in duration, mesh, merges, edges, the score of the joined models,
+/// views, in the order of the views; none if the model was not scored. The caller fills in duration, mesh, merges, edges, the score of the joined models,
 /// and the aggregators' memory.
 pub(crate) fn summarize(
     plan: &Plan,
@@ -21,10 +21,11 @@ pub(crate) fn summarize(
     let agent = |(i, status): (usize, &Status)| {
         let its = held_out.iter().zip(qualities).filter(|(cell, _)| **cell == i);
         let qualities: Vec<Quality> = its.map(|(_, quality)| *quality).collect();
+        let held_out = held_out.iter().filter(|cell| **cell == i).count();
         AgentSummary {
             device: plan.devices[i].to_string(),
             views: plan.cells[i].views.len() + plan.cells[i].guests.len(),
-            held_out: qualities.len(),
+            held_out,
             training: status.training.clone(),
             bytes_sent: status.bytes_sent,
             restarts: status.restarts,
@@ -56,6 +57,7 @@ pub(crate) fn summarize(
         merging: None,
         mesh: None,
         mesh_failure: None,
+        scores_failure: None,
     };
     MissionReport { data: settings.data.clone(), seed: settings.seed, agents, edges: Vec::new(), whole }
 }

@@ -4,9 +4,9 @@
 use std::ops::ControlFlow;
 use std::path::Path;
 
-use cosurf_scene::{Camera, Caster, LocalFrame, SceneError, Splats};
+use cosurf_scene::{Camera, Caster, LocalFrame, SceneError, ply};
 
-use crate::mesh::{FuseEvent, FuseSettings, Fused, MeshError, mesh_model};
+use crate::mesh::{FuseEvent, FuseSettings, Fused, MeshError, check_memory, mesh_model};
 use crate::report::MeshSummary;
 
 /// The mesh of a global model.
@@ -17,11 +17,11 @@ pub(crate) enum Relief {
     Missing(MeshError),
 }
 
-/// Makes the mesh of splats and cameras that are in `frame`, and writes it to `file`, in the world. Takes at most
-/// `memory_bytes`: if that is little, pictures shrink and voxels become larger. Rendering uses `threads` (at least 1)
-/// threads. If `on_event` returns `Break`, the mesh is missing because of [`MeshError::Stopped`].
+/// Makes the mesh of the model in the PLY file `model`, and of cameras that are in `frame`, and writes it to `file`, in the
+/// world. Takes at most `memory_bytes`: if that is little, pictures shrink and voxels become larger. Rendering uses
+/// `threads` (at least 1) threads. If `on_event` returns `Break`, the mesh is missing because of [`MeshError::Stopped`].
 pub(crate) fn relief(
-    splats: Splats,
+    model: &Path,
     cameras: &[Camera],
     frame: &LocalFrame,
     memory_bytes: u64,
@@ -30,6 +30,11 @@ pub(crate) fn relief(
     on_event: impl FnMut(FuseEvent) -> ControlFlow<()>,
 ) -> Result<Relief, SceneError> {
     let settings = FuseSettings { voxel_m: None, memory_bytes };
+    let (splats, sh_degree) = ply::size(model)?;
+    let splats = match check_memory(splats, sh_degree, cameras, None, memory_bytes) {
+        Ok(()) => ply::read(model, frame)?,
+        Err(error) => return Ok(Relief::Missing(error)),
+    };
     let fused = match mesh_model(splats, cameras, None, &settings, threads, on_event) {
         Ok(fused) => fused,
         Err(error) => return Ok(Relief::Missing(error)),

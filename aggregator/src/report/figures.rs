@@ -85,10 +85,13 @@ pub struct WholeSummary {
     pub aggregator_peak_memory_bytes: Option<u64>,
     /// Bytes that all agents sent, resends included.
     pub bytes_sent: u64,
-    /// Figures of the global model on all held-out views; absent if no view is held out.
+    /// Figures of the global model on all held-out views; absent if no view is held out, or if it was not scored.
     pub quality: Option<Quality>,
+    /// Why the global model, or the joined one, was not scored; absent if both were.
+    #[serde(default)]
+    pub scores_failure: Option<String>,
     /// PSNR and SSIM, on all held-out views, of the agents' models joined but not merged; absent if no view
-    /// is held out.
+    /// is held out, or if they were not scored.
     pub joined: Option<Quality>,
     /// How the models were merged; absent if the record of the merge cannot be read.
     pub merging: Option<Merging>,

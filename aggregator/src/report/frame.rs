@@ -2,11 +2,8 @@
 
 use std::fmt::Write;
 
-use image::ImageError;
-
-use super::embed::data_uri;
+use super::embed::Captioned;
 use super::figures::MeshSummary;
-use super::showcase::Captioned;
 use super::svg::escape;
 
 /// The beginning of a page with this title, up to its body.
@@ -39,19 +36,17 @@ pub(super) fn remarks(remarks: &[String]) -> String {
 }
 
 /// Pictures of one view side by side. `name` is the view's, as HTML.
-pub(super) fn strip(name: &str, pictures: &[Captioned]) -> Result<String, ImageError> {
+pub(super) fn strip(name: &str, pictures: &[Captioned]) -> String {
     let columns = if pictures.len() > 6 { 4 } else { 3 };
     let mut html = format!("<div class=\"strip\" style=\"--columns:{columns}\">");
-    for Captioned { caption, picture } in pictures {
-        let [width, height] = picture.size_px;
-        let uri = data_uri(picture)?;
+    for Captioned { caption, size_px: [width, height], uri } in pictures {
         let _ = write!(
             html,
             "<figure><img src=\"{uri}\" width=\"{width}\" height=\"{height}\" alt=\"{name}: {caption}\">\
              <figcaption>{caption}</figcaption></figure>"
         );
     }
-    Ok(html + "</div>")
+    html + "</div>"
 }
 
 /// The end of a page: what the files beside it are.

@@ -3,7 +3,6 @@
 use std::fmt::Write;
 
 use cosurf_scene::bytes::format_bytes;
-use image::ImageError;
 
 use super::figures::MissionReport;
 use super::frame::group_digits;
@@ -28,16 +27,15 @@ pub(crate) struct Drawings<'a> {
 }
 
 /// Returns the whole page as HTML.
-pub(crate) fn page(report: &MissionReport, drawings: &Drawings) -> Result<String, ImageError> {
+pub(crate) fn page(report: &MissionReport, drawings: &Drawings) -> String {
     let mut html = frame::open("cosurf mission");
     header(&mut html, report);
     agents(&mut html, report);
-    pictures(&mut html, drawings.showcases)?;
+    pictures(&mut html, drawings.showcases);
     ground(&mut html, report, drawings);
     html.push_str(&fits::section(report, drawings.cells));
     html.push_str(&frame::footer(report.whole.revision, report.whole.mesh));
-    html.push_str("</body></html>\n");
-    Ok(html)
+    html + "</body></html>\n"
 }
 
 fn header(html: &mut String, report: &MissionReport) {
@@ -116,9 +114,9 @@ fn dot(agent: usize) -> String {
     format!("<span class=\"dot\" style=\"background:{}\"></span>", agent_color(agent))
 }
 
-fn pictures(html: &mut String, showcases: &[Showcase]) -> Result<(), ImageError> {
+fn pictures(html: &mut String, showcases: &[Showcase]) {
     if showcases.is_empty() {
-        return Ok(());
+        return;
     }
     html.push_str("<h2>Held-out views: photograph and global model</h2>\n");
     for showcase in showcases {
@@ -128,10 +126,9 @@ fn pictures(html: &mut String, showcases: &[Showcase]) -> Result<(), ImageError>
             "<div class=\"view\"><div><b>{name}</b> <span class=\"soft\">{}</span></div>",
             figures(&showcase.quality)
         );
-        html.push_str(&frame::strip(&name, &showcase.pictures)?);
+        html.push_str(&frame::strip(&name, &showcase.pictures));
         html.push_str("</div>\n");
     }
-    Ok(())
 }
 
 /// The figures of a view in one line.
@@ -170,7 +167,7 @@ mod tests {
     #![allow(clippy::unwrap_used)]
     use cosurf_scene::Picture;
 
-    use super::super::showcase::Captioned;
+    use super::super::embed::Captioned;
     use glam::DVec2;
 
     use super::*;
@@ -181,16 +178,14 @@ mod tests {
     fn example_page() -> String {
         let cells = [Cell::new(vec![0], Outline::rectangle([DVec2::ZERO, DVec2::ONE]))];
         let report = super::super::texts::tests::example();
-        let picture = |caption: &str| Captioned {
-            caption: caption.into(),
-            picture: Picture::new([2, 2], vec![99; 12]),
-        };
+        let grey = Picture::new([2, 2], vec![99; 12]);
+        let picture = |caption: &str| Captioned::new(caption, &grey).unwrap();
         let showcase = Showcase {
             name: "a<b>.jpg".into(),
             quality: report.whole.quality.unwrap(),
             pictures: ["truth", "colour", "depth", "normal"].map(picture).into(),
         };
-        page(&report, &Drawings { cells: &cells, views: &[], showcases: &[showcase] }).unwrap()
+        page(&report, &Drawings { cells: &cells, views: &[], showcases: &[showcase] })
     }
 
     #[test]

@@ -1,8 +1,12 @@
 //! Shows a held-out view in pictures: the photograph, the renderings of the model, and their errors.
 
-use cosurf_scene::{Cast, Caster, Picture, SceneError, View, colormap};
+use cosurf_scene::{Cast, Caster, Picture, View, colormap};
+use image::ImageError;
+
+use super::embed::Captioned;
 
 use crate::evaluate::{Comparison, Judge, Quality, depth_errors_percent, normal_errors_deg};
+use crate::views::ViewError;
 
 /// Limit on the number of views that the report shows in pictures. They range from the best view to the worst.
 const SHOWCASES: usize = 4;
@@ -13,10 +17,15 @@ const DEPTH_BRIGHT_PERCENT: f32 = 2.0;
 /// Error of normals that is drawn in the brightest colour, degrees.
 const NORMAL_BRIGHT_DEG: f32 = 45.0;
 
-/// A picture with a caption in plain text.
-pub(crate) struct Captioned {
-    pub(crate) caption: String,
-    pub(crate) picture: Picture,
+/// Why a view cannot be shown.
+#[derive(Debug, thiserror::Error)]
+pub(crate) enum ShowcaseError {
+    /// The model cannot be rendered.
+    #[error(transparent)]
+    View(#[from] ViewError),
+    /// A picture cannot be encoded.
+    #[error(transparent)]
+    Picture(#[from] ImageError),
 }
 
 /// A held-out view as a photograph and as renderings of the global model.
@@ -37,39 +46,40 @@ impl Showcase {
         comparison: Comparison,
         mesh: Option<Cast>,
         unit: f64,
-    ) -> Self {
+    ) -> Result<Self, ImageError> {
         let Comparison { photograph, rendering, truth, .. } = comparison;
         let size_px = rendering.size_px;
         let range = colormap::depth_range(truth.as_ref().map_or(&rendering.depth, |truth| &truth.depth));
         let [near_m, far_m] = range.map(|depth| depth * unit as f32);
-        let captioned = |caption: String, picture| Captioned { caption, picture };
-        let color_error = color_error(&photograph, &rendering.rgb);
         let mut pictures = vec![
-            captioned("photograph".into(), photograph),
-            captioned("colour".into(), Picture::from_unit(size_px, &rendering.rgb)),
-            captioned(format!("colour error, 0 to {COLOR_BRIGHT_PERCENT} % (bright)"), color_error),
-            captioned(
+            Captioned::new("photograph", &photograph)?,
+            Captioned::new("colour", &Picture::from_unit(size_px, &rendering.rgb))?,
+            Captioned::new(
+                format!("colour error, 0 to {COLOR_BRIGHT_PERCENT} % (bright)"),
+                &color_error(&photograph, &rendering.rgb),
+            )?,
+            Captioned::new(
                 format!("depth, {near_m:.1} (bright) to {far_m:.1} m"),
-                colormap::depth_picture(&rendering.depth, size_px, range),
-            ),
+                &colormap::depth_picture(&rendering.depth, size_px, range),
+            )?,
+            Captioned::new("normal", &colormap::normal_picture(&rendering.normal, size_px))?,
         ];
-        pictures.push(captioned("normal".into(), colormap::normal_picture(&rendering.normal, size_px)));
         if let Some(mesh) = &mesh {
-            pictures.push(captioned("mesh".into(), colormap::clay_picture(&mesh.normals, size_px)));
+            pictures.push(Captioned::new("mesh", &colormap::clay_picture(&mesh.normals, size_px))?);
         }
         if let Some(truth) = &truth {
             let depth = depth_errors_percent(&rendering, truth);
             let normal = normal_errors_deg(&rendering, truth);
-            pictures.push(captioned(
+            pictures.push(Captioned::new(
                 format!("depth error, 0 to {DEPTH_BRIGHT_PERCENT} % (bright)"),
-                colormap::error_picture(&depth, size_px, DEPTH_BRIGHT_PERCENT),
-            ));
-            pictures.push(captioned(
+                &colormap::error_picture(&depth, size_px, DEPTH_BRIGHT_PERCENT),
+            )?);
+            pictures.push(Captioned::new(
                 format!("normal error, 0 to {NORMAL_BRIGHT_DEG}° (bright)"),
-                colormap::error_picture(&normal, size_px, NORMAL_BRIGHT_DEG),
-            ));
+                &colormap::error_picture(&normal, size_px, NORMAL_BRIGHT_DEG),
+            )?);
         }
-        Self { name: name.into(), quality, pictures }
+        Ok(Self { name: name.into(), quality, pictures })
     }
 }
 
@@ -81,13 +91,15 @@ pub(crate) fn showcases(
     qualities: &[Quality],
     mesh: Option<&Caster>,
     unit: f64,
-) -> Result<Vec<Showcase>, SceneError> {
+) -> Result<Vec<Showcase>, ShowcaseError> {
+    let shown = spread(qualities);
+    judge.expect(shown.iter().map(|i| views[*i]));
     let show = |i: usize| {
         let comparison = judge.compare(views[i])?;
         let mesh = mesh.map(|mesh| mesh.cast(&comparison.camera));
-        Ok(Showcase::new(&views[i].name, qualities[i], comparison, mesh, unit))
+        Ok(Showcase::new(&views[i].name, qualities[i], comparison, mesh, unit)?)
     };
-    spread(qualities).into_iter().map(show).collect()
+    shown.into_iter().map(show).collect()
 }
 
 /// Indices of up to [`SHOWCASES`] views, evenly spread over the ranks by PSNR: the best is first and the worst
@@ -136,8 +148,9 @@ mod tests {
         let comparison =
             Comparison { camera, photograph: Picture::new([2, 1], vec![9; 6]), rendering, truth };
         let quality = Quality { psnr: 20.0, ssim: 0.5, lpips: None, surface: None };
-        let Showcase { pictures, .. } = Showcase::new("view", quality, comparison, mesh, 1.0);
-        assert!(pictures.iter().all(|captioned| captioned.picture.size_px == [2, 1]));
+        let showcase = Showcase::new("view", quality, comparison, mesh, 1.0);
+        let Showcase { pictures, .. } = showcase.expect("small pictures");
+        assert!(pictures.iter().all(|captioned| captioned.size_px == [2, 1]));
         pictures.into_iter().map(|captioned| captioned.caption).collect()
     }
 

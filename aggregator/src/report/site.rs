@@ -9,10 +9,10 @@ use cosurf_scene::{Cast, Picture, colormap};
 use image::ImageError;
 use serde::{Deserialize, Serialize};
 
+use super::embed::Captioned;
 use super::figures::MeshSummary;
 use super::fits;
 use super::frame::{self, group_digits};
-use super::showcase::Captioned;
 use super::svg::escape;
 use super::texts::{merge_remarks, merge_text};
 use crate::merge::LocalSummary;
@@ -32,6 +32,9 @@ pub struct SiteReport {
     pub mesh_blake3: Option<String>,
     /// Why there is no mesh; absent if there is one.
     pub mesh_failure: Option<String>,
+    /// Why there are no pictures; absent if there are some.
+    #[serde(default)]
+    pub pictures_failure: Option<String>,
     /// How the models were merged.
     pub merging: Merging,
 }
@@ -41,27 +44,28 @@ pub(crate) struct SitePicture(Vec<Captioned>);
 
 impl SitePicture {
     /// `unit` is the length of the rendering's unit, metres.
-    pub(crate) fn of(rendering: &Rendering, mesh: Option<Cast>, unit: f64) -> Self {
+    pub(crate) fn of(rendering: &Rendering, mesh: Option<Cast>, unit: f64) -> Result<Self, ImageError> {
         let size_px = rendering.size_px;
         let range = colormap::depth_range(&rendering.depth);
         let [near_m, far_m] = range.map(|depth| depth * unit as f32);
-        let captioned = |caption: &str, picture| Captioned { caption: caption.into(), picture };
         let mut pictures = vec![
-            captioned("colour", Picture::from_unit(size_px, &rendering.rgb)),
-            captioned(
-                &format!("depth, {near_m:.1} (bright) to {far_m:.1} m"),
-                colormap::depth_picture(&rendering.depth, size_px, range),
-            ),
-            captioned("normal", colormap::normal_picture(&rendering.normal, size_px)),
+            Captioned::new("colour", &Picture::from_unit(size_px, &rendering.rgb))?,
+            Captioned::new(
+                format!("depth, {near_m:.1} (bright) to {far_m:.1} m"),
+                &colormap::depth_picture(&rendering.depth, size_px, range),
+            )?,
+            Captioned::new("normal", &colormap::normal_picture(&rendering.normal, size_px))?,
         ];
-        pictures.extend(mesh.map(|mesh| captioned("mesh", colormap::clay_picture(&mesh.normals, size_px))));
-        Self(pictures)
+        if let Some(mesh) = mesh {
+            pictures.push(Captioned::new("mesh", &colormap::clay_picture(&mesh.normals, size_px))?);
+        }
+        Ok(Self(pictures))
     }
 }
 
 /// Returns the whole page as HTML.
-pub(crate) fn site_page(report: &SiteReport, pictures: &[SitePicture]) -> Result<String, ImageError> {
-    let SiteReport { site, cameras, mesh, mesh_blake3: _, mesh_failure, merging } = report;
+pub(crate) fn site_page(report: &SiteReport, pictures: &[SitePicture]) -> String {
+    let SiteReport { site, cameras, mesh, mesh_blake3: _, mesh_failure, pictures_failure, merging } = report;
     let mut html = frame::open("cosurf site");
     let _ = writeln!(
         html,
@@ -79,19 +83,20 @@ pub(crate) fn site_page(report: &SiteReport, pictures: &[SitePicture]) -> Result
     ]));
     models(&mut html, merging);
     let failure = mesh_failure.iter().map(|failure| format!("no mesh: {failure}"));
-    html.push_str(&frame::remarks(&merge_remarks(merging).chain(failure).collect::<Vec<_>>()));
+    let unseen = pictures_failure.iter().map(|failure| format!("no pictures: {failure}"));
+    html.push_str(&frame::remarks(&merge_remarks(merging).chain(failure).chain(unseen).collect::<Vec<_>>()));
     if !pictures.is_empty() {
         html.push_str("<h2>The global model from some of its cameras</h2>\n");
     }
     for SitePicture(pictures) in pictures {
-        let _ = writeln!(html, "<div class=\"view\">{}</div>", frame::strip("global model", pictures)?);
+        let _ = writeln!(html, "<div class=\"view\">{}</div>", frame::strip("global model", pictures));
     }
     let fits: Vec<&FitRecord> = merging.fits.iter().collect();
     if !fits.is_empty() {
         let _ = write!(html, "<h2>How the models fit each other</h2>\n{}", fits::table(&fits));
     }
     html.push_str(&frame::footer(merging.revision, *mesh));
-    Ok(html + "</body></html>\n")
+    html + "</body></html>\n"
 }
 
 /// The table of the models.
@@ -128,8 +133,8 @@ mod tests {
     use super::*;
 
     fn page(report: &SiteReport) -> String {
-        let picture = Captioned { caption: "colour".into(), picture: Picture::new([2, 2], vec![99; 12]) };
-        site_page(report, &[SitePicture(vec![picture])]).unwrap()
+        let picture = Captioned::new("colour", &Picture::new([2, 2], vec![99; 12])).unwrap();
+        site_page(report, &[SitePicture(vec![picture])])
     }
 
     #[test]
@@ -139,7 +144,9 @@ mod tests {
         let merging = Merging { inputs: vec![input], ..merging() };
         let mesh_blake3 = Some(String::new());
         let site = "a<b".into();
-        let report = SiteReport { site, cameras: 7, mesh, mesh_blake3, mesh_failure: None, merging };
+        let (mesh_failure, pictures_failure) = (None, None);
+        let report =
+            SiteReport { site, cameras: 7, mesh, mesh_blake3, mesh_failure, pictures_failure, merging };
         let html = page(&report);
         for part in ["a&lt;b", "12\u{202f}345", "0.250 m", "<b>7</b>", "agent-1", "data:image/jpeg;base64,"] {
             assert!(html.contains(part), "{part}");
@@ -152,8 +159,16 @@ mod tests {
                 html.matches(&format!("<{tag}>")).count() + html.matches(&format!("<{tag} ")).count();
             assert_eq!(opened, html.matches(&format!("</{tag}>")).count(), "{tag}");
         }
-        let failed = SiteReport { mesh: None, mesh_failure: Some("no surface".into()), ..report.clone() };
-        assert!(page(&failed).contains("<li>no mesh: no surface</li>"));
+        let failed = SiteReport {
+            mesh: None,
+            mesh_failure: Some("no surface".into()),
+            pictures_failure: Some("too large".into()),
+            ..report.clone()
+        };
+        let failed = page(&failed);
+        for remark in ["<li>no mesh: no surface</li>", "<li>no pictures: too large</li>"] {
+            assert!(failed.contains(remark), "{failed}");
+        }
         let text = serde_json::to_string(&report).unwrap();
         assert_eq!(serde_json::from_str::<SiteReport>(&text).unwrap(), report);
     }

@@ -73,6 +73,7 @@ pub(crate) fn remarks(report: &MissionReport) -> Vec<String> {
     let merges = report.edges.iter().map(|edge| &edge.merging).chain([&report.whole.merging]);
     merges.flatten().for_each(|merging| remarks.extend(merge_remarks(merging)));
     remarks.extend(report.whole.mesh_failure.iter().map(|failure| format!("no mesh: {failure}")));
+    remarks.extend(report.whole.scores_failure.iter().map(|failure| format!("no scores: {failure}")));
     remarks
 }
 
@@ -179,6 +180,7 @@ pub(crate) mod tests {
                 merging: None,
                 mesh: Some(MeshSummary { triangles: 4321, voxel_m: 0.25 }),
                 mesh_failure: None,
+                scores_failure: None,
             },
         }
     }

@@ -3,28 +3,38 @@
 use std::collections::{BTreeMap, BTreeSet};
 use std::ffi::OsStr;
 use std::fs;
-use std::io::ErrorKind;
+use std::io::{self, ErrorKind};
 use std::path::{Path, PathBuf};
+use std::rc::Rc;
 
 use cosurf_link::{Model, ModelKey, ModelStore, body_to_model};
-use cosurf_scene::{LocalFrame, SceneError, camera_list};
+use cosurf_scene::{LocalFrame, SceneError, Splats, camera_list, ply};
 use cosurf_wire::{DeviceId, ModelHeader};
 
 use super::error::ServiceError;
 use crate::merge::concatenate;
 
-/// Joins the newest models of all devices in the folders of services, without merging them. The result is in `frame`.
-pub(crate) fn joined(folders: &[PathBuf], frame: &LocalFrame) -> Result<Model, ServiceError> {
+/// Joins the newest models of all devices in the folders of services, without merging them, and writes them to `file`. One
+/// model after the other is in memory.
+pub(crate) fn write_joined(folders: &[PathBuf], file: &Path, frame: &LocalFrame) -> Result<(), ServiceError> {
     let mut parts = Vec::new();
     for folder in folders {
         let (models, headers) = ModelStore::open(&folder.join("models"))?;
+        let models = Rc::new(models);
         let newest: BTreeMap<DeviceId, ModelHeader> =
             headers.into_iter().map(|header| (header.device, header)).collect();
-        for header in newest.values() {
-            parts.push(body_to_model(&models.get(ModelKey::from(header))?.1, frame)?);
-        }
+        parts.extend(newest.into_values().map(|header| (models.clone(), header)));
     }
-    Ok(concatenate(&parts))
+    let count = parts.iter().map(|(_, header)| header.splats as usize).sum();
+    let sh_degree = parts.iter().map(|(_, header)| u32::from(header.sh_degree)).max().unwrap_or(0);
+    let wide = Model { splats: Splats::with_capacity(0, sh_degree), cameras: Vec::new() };
+    let load = |(models, header): &(Rc<ModelStore>, ModelHeader)| {
+        let body = models.get(ModelKey::from(header)).map_err(io::Error::other)?.1;
+        let model = body_to_model(&body, frame).map_err(io::Error::other)?;
+        // Pads lower degrees of spherical harmonics.
+        Ok(concatenate(&[model, wide.clone()]).splats)
+    };
+    Ok(ply::write_parts(file, count, sh_degree, frame, parts.iter().map(load))?)
 }
 
 /// Folder of the global model's revisions, inside the folder of a service.

@@ -7,12 +7,13 @@
 //! - [`AgentEvent`]: the JSON lines that an agent prints under `--json`.
 //! - [`TrainReport`] and [`Changes`]: JSON files that an agent writes.
 //! - [`log`]: the log of `cosurf-agent` and `cosurf-aggregator`.
+//! - [`usage`]: how much memory and time a process takes.
 //! - [`counted`]: how both write a count with its noun.
 //!
 //! Values are parsed into the types that the programs compute with, so a wrong value is refused where it is read.
 //!
 //! What it knows nothing about: how an agent trains or sends its model, what the aggregator does with the model, files,
-//! and command lines. Only [`log`] reads a clock.
+//! and command lines. Only [`log`] reads a clock, and only [`usage`] asks the system.
 //!
 //! Where to start reading: [`config`], then [`report`].
 //!
@@ -49,6 +50,7 @@ mod password;
 pub mod report;
 mod share;
 pub mod status;
+pub mod usage;
 mod words;
 
 pub use config::{

@@ -42,6 +42,6 @@ pub use device::{Device, DeviceChoice, DeviceError, DeviceLost};
 pub use distill::{DistillSettings, Distiller, Lesson, StudentRates};
 pub use neighbours::Neighbours;
 pub use prune::PruneScore;
-pub use render::Renderer;
+pub use render::{Renderer, Seen};
 pub use schedule::Schedule;
 pub use train::{Example, Progress, PruneSettings, SurfaceSettings, TrainSettings, Trainer, TrainingViews};

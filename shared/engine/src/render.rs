@@ -22,6 +22,15 @@ enum Painter {
     Gpu(Box<GpuRenderer>, usize),
 }
 
+/// What a picture shows of a model.
+#[derive(Clone, Debug, Default, PartialEq, Eq)]
+pub struct Seen {
+    /// Indices of the splats, ascending. All others can be left out without changing a bit of the picture.
+    pub splats: Vec<u32>,
+    /// Number of splat–tile pairs: [`Renderer::pairs`].
+    pub pairs: usize,
+}
+
 struct CpuPainter {
     backend: CpuBackend,
     sh_degree: u32,
@@ -123,6 +132,14 @@ impl Renderer {
     /// move to the processor, which also renders all later pictures.
     pub fn pairs(&mut self, camera: &Camera) -> usize {
         self.on_cpu().pairs(camera)
+    }
+
+    /// What a picture would show, without blending it. The splats move to the processor, which also renders all later
+    /// pictures.
+    pub fn seen(&mut self, camera: &Camera) -> Seen {
+        let painter = self.on_cpu();
+        let pairs = painter.pairs(camera);
+        Seen { splats: painter.backend.visible().map(|splat| splat as u32).collect(), pairs }
     }
 
     /// Makes room for this many splat–tile pairs on the processor. The splats move to it, and it renders all later

@@ -124,6 +124,11 @@ impl CpuBackend {
         self.lists.reserve(pairs);
     }
 
+    /// Indices of the splats that the projected view shows, ascending.
+    pub(crate) fn visible(&self) -> impl Iterator<Item = usize> {
+        self.projection.visible()
+    }
+
     /// The splats with their training state; all else is freed.
     fn into_model(self) -> Model {
         self.model

@@ -53,6 +53,15 @@ impl Projection {
         }
     }
 
+    /// Indices of the visible splats, ascending.
+    pub(crate) fn visible(&self) -> impl Iterator<Item = usize> {
+        let of_block = |(block, visible): (usize, &u16)| {
+            let visible = *visible;
+            (0..GROUP).filter(move |i| visible >> i & 1 == 1).map(move |i| block * GROUP + i)
+        };
+        self.visible.iter().enumerate().flat_map(of_block)
+    }
+
     fn resize(&mut self, blocks: usize) {
         self.splats.resize(blocks * GROUP, Projected::default());
         self.depths.resize(blocks * GROUP, 0.0);

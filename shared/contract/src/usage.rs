@@ -1,4 +1,4 @@
-//! Memory and CPU time of this process, as the operating system reports them.
+//! Memory and CPU time of this process, as the operating system reports them (Linux).
 
 use std::fs;
 
