@@ -75,7 +75,7 @@ pub(crate) struct MissionArgs {
     compress_first: bool,
     #[command(flatten)]
     ways: Ways,
-    /// Limit on the memory of merging, for example 500MiB
+    /// Limit on the memory of this process while it merges, scores and draws, for example 500MiB
     #[arg(long, value_name = "BYTES", default_value = "4GiB", value_parser = parse_bytes)]
     merge_memory: u64,
     /// Also score the global model by LPIPS, with the weights vgg.safetensors and alex.safetensors in this folder

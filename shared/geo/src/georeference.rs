@@ -1,0 +1,135 @@
+//! `geo.json`: where on the earth a dataset or a model lies, and how well that is known.
+
+use std::fs;
+use std::path::Path;
+
+use serde::{Deserialize, Serialize};
+
+use crate::ellipsoid::Geodetic;
+use crate::error::GeoError;
+use crate::projection::Projection;
+use crate::site::SiteFrame;
+
+/// Where a dataset or a model lies whose world is ENU about an origin.
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
+pub struct Georeference {
+    /// The origin of the site.
+    pub origin: Geodetic,
+    /// EPSG number of the coordinate system of what is delivered.
+    pub epsg: u32,
+    /// How well the photographs' GPS agrees with their poses; absent if the place does not come from GPS.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub gps: Option<GpsResiduals>,
+    /// The points on the ground that the place was fitted to.
+    #[serde(default, skip_serializing_if = "Vec::is_empty")]
+    pub control: Vec<PointResidual>,
+    /// Points on the ground that were held out, to tell how accurate the rest is.
+    #[serde(default, skip_serializing_if = "Vec::is_empty")]
+    pub check: Vec<PointResidual>,
+}
+
+/// How well the GPS of photographs agrees with their poses.
+#[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
+pub struct GpsResiduals {
+    /// Number of photographs with a pose and GPS.
+    pub photographs: usize,
+    /// Number of these that agree with most of the others.
+    pub agreeing: usize,
+    /// Root mean square of the horizontal differences of those that agree, metres.
+    pub horizontal_rms_m: f64,
+    /// Root mean square of the differences of height of those that agree, metres.
+    pub vertical_rms_m: f64,
+}
+
+/// A point on the ground that was measured, and where the photographs show it.
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
+pub struct PointResidual {
+    /// Its name.
+    pub name: String,
+    /// Number of photographs in which it was marked.
+    pub photographs: usize,
+    /// Where the photographs show it, minus where it was measured: east, north, up, metres.
+    pub residual_m: [f64; 3],
+}
+
+impl Georeference {
+    /// Name of the file in the folder of a dataset or a model.
+    pub const FILE: &str = "geo.json";
+
+    /// A place without any statement of its accuracy, in the UTM zone of the origin.
+    pub fn at(origin: Geodetic) -> Result<Self, GeoError> {
+        origin.check()?;
+        let epsg = Projection::utm_of(&origin).epsg();
+        Ok(Self { origin, epsg, gps: None, control: Vec::new(), check: Vec::new() })
+    }
+
+    /// The georeference in a folder; `None` if it has none.
+    pub fn of_folder(folder: &Path) -> Result<Option<Self>, GeoError> {
+        let path = folder.join(Self::FILE);
+        if path.is_file() { Self::read(&path).map(Some) } else { Ok(None) }
+    }
+
+    /// Reads and checks a file.
+    pub fn read(path: &Path) -> Result<Self, GeoError> {
+        let bytes = fs::read(path).map_err(|cause| GeoError::Io { path: path.into(), cause })?;
+        let malformed = |cause| GeoError::Malformed { path: path.into(), cause };
+        let its: Self = serde_json::from_slice(&bytes).map_err(malformed)?;
+        its.origin.check()?;
+        Projection::new(its.epsg)?;
+        Ok(its)
+    }
+
+    /// The content of the file.
+    pub fn to_json(&self) -> String {
+        serde_json::to_string_pretty(self).expect("numbers and texts") + "\n"
+    }
+
+    /// The frame of the site.
+    pub fn site(&self) -> Result<SiteFrame, GeoError> {
+        SiteFrame::new(self.origin)
+    }
+
+    /// The coordinate system of what is delivered.
+    pub fn projection(&self) -> Result<Projection, GeoError> {
+        Projection::new(self.epsg)
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    #![allow(clippy::unwrap_used)]
+    use super::*;
+
+    fn example() -> Georeference {
+        let origin = Geodetic { latitude_deg: 30.1712, longitude_deg: -98.0897, height_m: 301.5 };
+        let residual = PointResidual { name: "A".into(), photographs: 3, residual_m: [0.01, -0.02, 0.05] };
+        let gps = GpsResiduals { photographs: 75, agreeing: 70, horizontal_rms_m: 2.5, vertical_rms_m: 4.0 };
+        Georeference { gps: Some(gps), control: vec![residual], ..Georeference::at(origin).unwrap() }
+    }
+
+    #[test]
+    fn files_survive_the_way_to_the_disk_and_back() {
+        let folder = tempfile::tempdir().unwrap();
+        assert_eq!(Georeference::of_folder(folder.path()).unwrap(), None);
+        fs::write(folder.path().join(Georeference::FILE), example().to_json()).unwrap();
+        assert_eq!(Georeference::of_folder(folder.path()).unwrap(), Some(example()));
+    }
+
+    #[test]
+    fn wrong_files_are_refused_with_their_names() {
+        let folder = tempfile::tempdir().unwrap();
+        let path = folder.path().join(Georeference::FILE);
+        let text = example().to_json();
+        for (wrong, told) in [
+            ("{}".to_string(), "geo.json is not a georeference: missing field"),
+            (text.replace("30.1712", "130.0"), "no place on the earth"),
+            (text.replace("32614", "4326"), "EPSG:4326"),
+        ] {
+            fs::write(&path, &wrong).unwrap();
+            let error = Georeference::read(&path).unwrap_err().to_string();
+            assert!(error.contains(told), "{error}");
+        }
+        fs::remove_file(&path).unwrap();
+        assert!(Georeference::read(&path).unwrap_err().to_string().contains("geo.json"));
+    }
+}

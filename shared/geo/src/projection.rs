@@ -1,0 +1,128 @@
+//! Coordinate systems of maps.
+
+use glam::DVec3;
+use proj4rs::Proj;
+use proj4rs::transform::transform;
+
+use crate::ellipsoid::Geodetic;
+use crate::error::GeoError;
+
+/// The system of GPS: longitude and latitude, WGS 84.
+const WGS_84: u16 = 4326;
+
+/// A coordinate system of maps: easting, northing, and height above the ellipsoid, metres.
+pub struct Projection {
+    epsg: u32,
+    system: Proj,
+    gps: Proj,
+}
+
+impl std::fmt::Debug for Projection {
+    fn fmt(&self, f: &mut std::fmt::Formatter<'_>) -> std::fmt::Result {
+        write!(f, "EPSG:{}", self.epsg)
+    }
+}
+
+impl Projection {
+    /// The system with this EPSG number. An error if it is not known, is not a projection (longitude and latitude), or is
+    /// not in metres.
+    pub fn new(epsg: u32) -> Result<Self, GeoError> {
+        let unknown = || GeoError::UnknownSystem { epsg };
+        let system = u16::try_from(epsg).ok().and_then(|code| Proj::from_epsg_code(code).ok());
+        let system = system.ok_or_else(unknown)?;
+        let gps = Proj::from_epsg_code(WGS_84).map_err(|_| unknown())?;
+        let is_map = !system.is_latlong() && !system.is_geocent() && (system.to_meter() - 1.0).abs() < 1e-12;
+        if is_map { Ok(Self { epsg, system, gps }) } else { Err(unknown()) }
+    }
+
+    /// The UTM zone of a place, on WGS 84.
+    pub fn utm_of(place: &Geodetic) -> Self {
+        let zone = (((place.longitude_deg + 180.0) / 6.0).floor() as i64).rem_euclid(60) as u32 + 1;
+        let epsg = zone + if place.latitude_deg < 0.0 { 32_700 } else { 32_600 };
+        Self::new(epsg).expect("all zones of UTM are known")
+    }
+
+    /// The number of the system.
+    pub fn epsg(&self) -> u32 {
+        self.epsg
+    }
+
+    /// Easting, northing and ellipsoidal height of a place. An error if the system does not cover it.
+    pub fn project(&self, place: &Geodetic) -> Result<DVec3, GeoError> {
+        let Geodetic { latitude_deg, longitude_deg, height_m } = *place;
+        let mut at = (longitude_deg.to_radians(), latitude_deg.to_radians(), height_m);
+        let outside = GeoError::OutsideSystem { epsg: self.epsg, latitude_deg, longitude_deg };
+        match transform(&self.gps, &self.system, &mut at) {
+            Ok(()) if at.0.is_finite() && at.1.is_finite() => Ok(DVec3::new(at.0, at.1, height_m)),
+            _ => Err(outside),
+        }
+    }
+
+    /// The place with this easting, northing and ellipsoidal height. An error if the system does not cover it.
+    pub fn unproject(&self, at: DVec3) -> Result<Geodetic, GeoError> {
+        let mut place = (at.x, at.y, at.z);
+        let is_done = transform(&self.system, &self.gps, &mut place).is_ok();
+        let place = Geodetic {
+            latitude_deg: place.1.to_degrees(),
+            longitude_deg: place.0.to_degrees(),
+            height_m: at.z,
+        };
+        let Geodetic { latitude_deg, longitude_deg, .. } = place;
+        match place.check() {
+            Ok(()) if is_done => Ok(place),
+            _ => Err(GeoError::OutsideSystem { epsg: self.epsg, latitude_deg, longitude_deg }),
+        }
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    #![allow(clippy::unwrap_used)]
+    use super::*;
+
+    /// Places with their eastings and northings by PROJ 9.1 (`cs2cs -f %.4f EPSG:4326 EPSG:...`, which prints those of
+    /// EPSG:2180 in the other order).
+    const BY_PROJ: [(u32, [f64; 2], [f64; 2]); 3] = [
+        (32_614, [30.1712, -98.0897], [587_647.0771, 3_338_105.8937]),
+        (32_733, [-33.9, 18.4], [814_420.3310, 6_243_724.8401]),
+        (2_180, [53.0, 16.5], [332_289.0623, 573_431.0595]),
+    ];
+
+    #[test]
+    fn places_have_the_coordinates_that_proj_gives_them() {
+        for (epsg, [latitude_deg, longitude_deg], wanted) in BY_PROJ {
+            let place = Geodetic { latitude_deg, longitude_deg, height_m: 12.0 };
+            let at = Projection::new(epsg).unwrap().project(&place).unwrap();
+            assert!((at.x - wanted[0]).hypot(at.y - wanted[1]) < 0.001, "EPSG:{epsg}: {at}");
+        }
+    }
+
+    #[test]
+    fn coordinates_survive_the_way_to_places_and_back() {
+        for (epsg, [latitude_deg, longitude_deg], _) in BY_PROJ {
+            let system = Projection::new(epsg).unwrap();
+            let place = Geodetic { latitude_deg, longitude_deg, height_m: 12.0 };
+            let back = system.unproject(system.project(&place).unwrap()).unwrap();
+            assert!((back.latitude_deg - latitude_deg).abs() < 1e-9, "EPSG:{epsg}: {back:?}");
+            assert!((back.longitude_deg - longitude_deg).abs() < 1e-9, "EPSG:{epsg}: {back:?}");
+        }
+    }
+
+    #[test]
+    fn utm_zones_are_those_of_their_places() {
+        let zone = |latitude_deg, longitude_deg| {
+            Projection::utm_of(&Geodetic { latitude_deg, longitude_deg, height_m: 0.0 }).epsg()
+        };
+        assert_eq!([zone(30.0, -98.1), zone(53.0, 16.5)], [32_614, 32_633]);
+        assert_eq!([zone(-1.0, -180.0), zone(1.0, 180.0), zone(1.0, 179.9)], [32_701, 32_601, 32_660]);
+    }
+
+    #[test]
+    fn systems_that_are_no_maps_in_metres_are_refused() {
+        // Longitude and latitude; earth-centred; US survey feet; no such number.
+        for epsg in [4_326, 4_978, 2_277, 1, 999_999] {
+            let error = Projection::new(epsg).unwrap_err().to_string();
+            assert!(error.contains(&format!("EPSG:{epsg}")), "{error}");
+        }
+    }
+}
