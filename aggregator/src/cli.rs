@@ -19,4 +19,5 @@ pub(crate) mod mission;
 pub(crate) mod password;
 pub(crate) mod pki;
 pub(crate) mod tap;
+pub(crate) mod town;
 pub(crate) mod worker;

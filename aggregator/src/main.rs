@@ -50,6 +50,7 @@ enum Commands {
     Record(cli::tap::RecordArgs),
     Replay(cli::tap::ReplayArgs),
     Run(RunArgs),
+    Town(cli::town::TownArgs),
     Worker(cli::worker::WorkerArgs),
 }
 
@@ -99,6 +100,7 @@ fn run_command(cli: Cli) -> Result<()> {
         Commands::Pki(args) => cli::pki::run(args),
         Commands::Record(args) => cli::tap::record(&args),
         Commands::Replay(args) => cli::tap::replay(&args),
+        Commands::Town(args) => cli::town::run(&args),
         Commands::Worker(args) => cli::worker::run(&args),
         Commands::Run(args) => run(&args),
         Commands::Mesh(args) => cli::mesh::run(&args),

@@ -5,9 +5,11 @@ use std::path::Path;
 use cosurf_scene::{Camera, Dataset, Mesh, View};
 
 use super::flight::FlightPath;
+use super::optics::Optics;
 use super::render::{CityFrame, World};
 use super::settings::{CityError, CitySettings};
 use super::sparse;
+use super::targets::Targets;
 use super::truth::{self, TruthPoint};
 
 /// Folder of the pictures, within that of the dataset.
@@ -74,6 +76,6 @@ impl City {
 
     /// Renders the view of any camera, not only of those of the flight.
     pub fn render(&self, camera: &Camera) -> CityFrame {
-        self.world.render(camera)
+        self.world.render(camera, &Optics::IDEAL, &Targets::default())
     }
 }

@@ -5,6 +5,8 @@
 //! all come from that mesh, so they agree exactly. World frame: x east, y north, z up, metres, the middle of the flown
 //! square at the origin.
 //!
+//! [`City::write_raw`] writes the same flight as a drone's memory card has it: photographs with EXIF, through a real lens.
+//!
 //! What it refuses to know: splats, training, links, clocks. Random numbers come from integer hashes, and no function
 //! of the platform's mathematics library is used, so the same settings give the same bytes on every machine.
 //!
@@ -27,6 +29,7 @@ mod blocks;
 mod building;
 mod city;
 mod detail;
+mod exif;
 mod facade;
 mod flight;
 mod ground;
@@ -34,11 +37,13 @@ mod light;
 mod material;
 mod mesh;
 mod noise;
+mod optics;
 mod palette;
 mod paving;
 mod plan;
 mod props;
 mod random;
+mod raw;
 mod render;
 mod roadside;
 mod roof;
@@ -48,6 +53,7 @@ mod shapes;
 mod sight;
 mod sparse;
 mod street;
+mod targets;
 mod terrain;
 #[cfg(test)]
 mod tests;
@@ -57,6 +63,7 @@ mod world;
 mod write;
 
 pub use city::City;
+pub use raw::{RawError, RawSettings};
 pub use render::CityFrame;
 pub use settings::{CityError, CitySettings};
 pub use truth::TruthPoint;

@@ -6,8 +6,10 @@ use rayon::prelude::*;
 use super::appearance::{Appearance, Spot};
 use super::light::{self, Light, Lit};
 use super::mesh::{Mesh, Triangle};
+use super::optics::Optics;
 use super::paving::Land;
 use super::plan::Plan;
+use super::targets::Targets;
 use cosurf_scene::bvh::{Bvh, Hit, Ray};
 use cosurf_scene::raycast::Shooter;
 use cosurf_scene::{Camera, Picture};
@@ -50,16 +52,31 @@ struct Pixel {
     normal: [f32; 3],
 }
 
+/// A camera that takes a picture.
+struct Eye<'a> {
+    camera: &'a Camera,
+    shooter: Shooter,
+    optics: &'a Optics,
+    targets: &'a Targets,
+}
+
+impl Eye<'_> {
+    /// Where an ideal lens would show what the picture shows at `p_px`.
+    fn ideal_px(&self, p_px: DVec2) -> DVec2 {
+        self.optics.lens.undistorted(self.camera, p_px)
+    }
+}
+
 impl World {
     /// Renders a picture with depth and normals, in parallel; the result does not depend on the number of
     /// threads.
-    pub(super) fn render(&self, camera: &Camera) -> CityFrame {
+    pub(super) fn render(&self, camera: &Camera, optics: &Optics, targets: &Targets) -> CityFrame {
         let [width, height] = camera.size_px;
-        let shooter = Shooter::new(camera);
+        let eye = Eye { camera, shooter: Shooter::new(camera), optics, targets };
         let pixels: Vec<Pixel> = (0..height)
             .into_par_iter()
             .flat_map_iter(|y| (0..width).map(move |x| (x, y)))
-            .map(|(x, y)| self.pixel(&shooter, x, y))
+            .map(|(x, y)| self.pixel(&eye, x, y))
             .collect();
         CityFrame {
             picture: Picture::new(camera.size_px, pixels.iter().flat_map(|p| p.rgb).collect()),
@@ -68,32 +85,36 @@ impl World {
         }
     }
 
-    fn pixel(&self, shooter: &Shooter, x: u32, y: u32) -> Pixel {
+    fn pixel(&self, eye: &Eye, x: u32, y: u32) -> Pixel {
         let center = DVec2::new(f64::from(x) + 0.5, f64::from(y) + 0.5);
-        let (hits, colors) = self.samples(shooter, center, MIDDLE_AND_CORNERS);
+        let (hits, colors) = self.samples(eye, center, MIDDLE_AND_CORNERS);
         let color = if is_uneven(&colors) {
-            let (_, more) = self.samples(shooter, center, SIDES);
+            let (_, more) = self.samples(eye, center, SIDES);
             colors.iter().chain(&more).sum::<Vec3>() * (1.0 / 9.0)
         } else {
             colors.iter().sum::<Vec3>() * 0.2
         };
         let (depth, normal) = match hits[0] {
-            Some(hit) => shooter.meet(center, &self.mesh.triangles[hit.triangle as usize].corners),
+            Some(hit) => {
+                let corners = &self.mesh.triangles[hit.triangle as usize].corners;
+                eye.shooter.meet(eye.ideal_px(center), corners)
+            }
             None => (0.0, [0.0; 3]),
         };
-        Pixel { rgb: light::encode(color), depth, normal }
+        Pixel { rgb: light::encode(color * eye.optics.gain), depth, normal }
     }
 
     /// Hits and colours at offsets from a pixel's centre, given in thirds of a pixel.
     fn samples<const N: usize>(
         &self,
-        shooter: &Shooter,
+        eye: &Eye,
         center: DVec2,
         thirds: [(f64, f64); N],
     ) -> ([Option<Hit>; N], [Vec3; N]) {
-        let rays = thirds.map(|(dx, dy)| shooter.ray(center + DVec2::new(dx, dy) * (1.0 / 3.0)));
+        let at = |(dx, dy): (f64, f64)| eye.ideal_px(center + DVec2::new(dx, dy) * (1.0 / 3.0));
+        let rays = thirds.map(|third| eye.shooter.ray(at(third)));
         let hits = self.bvh.nearest(&rays);
-        (hits, self.shade(&rays, &hits, shooter.half_pixel()))
+        (hits, self.shade(&rays, &hits, eye.shooter.half_pixel(), eye.targets))
     }
 
     /// Linear colours that the rays see; black for a ray that hits nothing. `footprint` is the distance
@@ -103,10 +124,11 @@ impl World {
         rays: &[Ray; N],
         hits: &[Option<Hit>; N],
         footprint: f32,
+        targets: &Targets,
     ) -> [Vec3; N] {
         let mut seen: [Option<(Lit, Appearance)>; N] = [None; N];
         for i in 0..N {
-            seen[i] = hits[i].map(|hit| self.surface(&rays[i], &hit, footprint));
+            seen[i] = hits[i].map(|hit| self.surface(&rays[i], &hit, footprint, targets));
         }
         let if_reached =
             |(lit, appearance): (Lit, Appearance)| self.light.reaches(&lit, &appearance).then_some(lit);
@@ -122,7 +144,7 @@ impl World {
     }
 
     /// The surface point that a ray hit, and its appearance.
-    fn surface(&self, ray: &Ray, hit: &Hit, footprint: f32) -> (Lit, Appearance) {
+    fn surface(&self, ray: &Ray, hit: &Hit, footprint: f32, targets: &Targets) -> (Lit, Appearance) {
         let length = ray.direction.length();
         let to_viewer = -ray.direction * (1.0 / length);
         let [a, b, c] = self.mesh.triangles[hit.triangle as usize].corners;
@@ -133,7 +155,11 @@ impl World {
         let stretch = 0.5 + 0.5 / cosine.abs().max(0.2);
         let footprint_m = footprint * hit.t * length * stretch;
         let spot = self.spot(hit.triangle, hit.barycentric, footprint_m);
-        (Lit { position: spot.position, normal, to_viewer }, self.appearance(hit.triangle, &spot))
+        let appearance = match targets.albedo(spot.position) {
+            Some(albedo) => Appearance::matt(Vec3::splat(albedo)),
+            None => self.appearance(hit.triangle, &spot),
+        };
+        (Lit { position: spot.position, normal, to_viewer }, appearance)
     }
 
     /// The linear colour of a lit surface point, without view-dependent reflections.

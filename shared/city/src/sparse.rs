@@ -8,6 +8,7 @@ use super::light;
 use super::random::Rng;
 use super::render::World;
 use super::sight::Sight;
+use super::targets::Targets;
 use cosurf_scene::raycast::Shooter;
 use cosurf_scene::{Camera, SparsePoint};
 
@@ -85,7 +86,7 @@ impl Finder<'_> {
         let color = |p_px: DVec2| {
             let ray = shooter.ray(p_px);
             let [hit] = self.world.bvh.nearest(&[ray]);
-            let [color] = self.world.shade(&[ray], &[hit], shooter.half_pixel());
+            let [color] = self.world.shade(&[ray], &[hit], shooter.half_pixel(), &Targets::default());
             Some((color, hit?.t))
         };
         let (middle, depth) = color(p_px)?;

@@ -9,7 +9,7 @@ use super::city::{City, PICTURES};
 use super::truth::TruthPoint;
 
 /// Folder of the truth.
-const TRUTH: &str = "gt";
+pub(super) const TRUTH: &str = "gt";
 /// JPEG quality of the pictures.
 const QUALITY: u8 = 95;
 /// Truth points per square metre of the flown square.
@@ -38,13 +38,18 @@ impl City {
             progress(i + 1, total);
         }
         colmap::write(folder, &dataset)?;
-        self.truth_mesh().write_ply(&folder.join(TRUTH).join("mesh.ply"))?;
-        let area = self.settings().extent_m * self.settings().extent_m;
-        let count = (POINTS_PER_M2 * area).clamp(POINTS_RANGE.0, POINTS_RANGE.1) as usize;
-        let points = self.truth_points(count, self.settings().seed);
-        cloud(&points).write_ply(&folder.join(TRUTH).join("points.ply"))?;
+        write_truth(self, &folder.join(TRUTH))?;
         Ok(dataset)
     }
+}
+
+/// Writes the true surface of a city as a mesh and as points.
+pub(super) fn write_truth(city: &City, folder: &Path) -> Result<(), SceneError> {
+    city.truth_mesh().write_ply(&folder.join("mesh.ply"))?;
+    let area = city.settings().extent_m * city.settings().extent_m;
+    let count = (POINTS_PER_M2 * area).clamp(POINTS_RANGE.0, POINTS_RANGE.1) as usize;
+    let points = city.truth_points(count, city.settings().seed);
+    cloud(&points).write_ply(&folder.join("points.ply"))
 }
 
 /// The points as a mesh without triangles.

@@ -53,6 +53,11 @@ impl Picture {
 
     /// Writes a JPEG file of `quality` 1 to 100, atomically.
     pub fn write_jpeg(&self, path: &Path, quality: u8) -> Result<(), SceneError> {
-        files::write_jpeg(self, path, quality)
+        files::write_jpeg(self, path, quality, Vec::new())
+    }
+
+    /// As [`Self::write_jpeg`], with EXIF data, in the format of TIFF, as cameras write them.
+    pub fn write_photograph(&self, path: &Path, quality: u8, exif: Vec<u8>) -> Result<(), SceneError> {
+        files::write_jpeg(self, path, quality, exif)
     }
 }

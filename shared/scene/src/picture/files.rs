@@ -77,11 +77,19 @@ pub(super) fn write_png(picture: &Picture, path: &Path) -> Result<(), SceneError
     })
 }
 
-/// Writes a JPEG file of `quality` 1 to 100, atomically.
-pub(super) fn write_jpeg(picture: &Picture, path: &Path, quality: u8) -> Result<(), SceneError> {
+/// Writes a JPEG file of `quality` 1 to 100, atomically. No EXIF is written if `exif` is empty.
+pub(super) fn write_jpeg(
+    picture: &Picture,
+    path: &Path,
+    quality: u8,
+    exif: Vec<u8>,
+) -> Result<(), SceneError> {
     let [width, height] = picture.size_px;
     atomic::write(path, |out| {
-        let encoder = JpegEncoder::new_with_quality(out, quality);
+        let mut encoder = JpegEncoder::new_with_quality(out, quality);
+        if !exif.is_empty() {
+            encoder.set_exif_metadata(exif).map_err(io::Error::other)?;
+        }
         encoder.write_image(&picture.rgb, width, height, ExtendedColorType::Rgb8).map_err(into_io)
     })
 }
