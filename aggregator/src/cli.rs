@@ -18,6 +18,7 @@ pub(crate) mod mesh;
 pub(crate) mod mission;
 pub(crate) mod password;
 pub(crate) mod pki;
+pub(crate) mod survey;
 pub(crate) mod tap;
 pub(crate) mod town;
 pub(crate) mod worker;

@@ -23,6 +23,7 @@
 //!  └─ terminal ─► mesh        progress for people; depth to triangles
 //! ```
 //!
+//! [`survey`] stands beside `mission`: it makes what a surveyor delivers of a global model.
 //! [`worker`] stands beside `service`: it distils tiles for merges on other computers. [`pki`] stands alone: it makes the
 //! keys of a site. `quiet` limits lines in the log.
 //!
@@ -44,6 +45,7 @@ mod quiet;
 pub mod report;
 pub mod service;
 pub mod store;
+pub mod survey;
 mod terminal;
 #[cfg(test)]
 mod testing;

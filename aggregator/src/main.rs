@@ -51,6 +51,7 @@ enum Commands {
     Replay(cli::tap::ReplayArgs),
     Run(RunArgs),
     Town(cli::town::TownArgs),
+    Survey(cli::survey::SurveyArgs),
     Worker(cli::worker::WorkerArgs),
 }
 
@@ -103,6 +104,7 @@ fn run_command(cli: Cli) -> Result<()> {
         Commands::Town(args) => cli::town::run(&args),
         Commands::Worker(args) => cli::worker::run(&args),
         Commands::Run(args) => run(&args),
+        Commands::Survey(args) => cli::survey::run(&args),
         Commands::Mesh(args) => cli::mesh::run(&args),
         Commands::EvalMesh(args) => cli::eval_mesh::run(&args),
     }

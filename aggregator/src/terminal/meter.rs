@@ -41,20 +41,28 @@ impl Meter {
     /// Shows that `stage` has finished `done` (at least 1) of `of` views. `now_s` is the time in seconds since any
     /// fixed moment.
     pub fn show(&mut self, stage: &'static str, done: usize, of: usize, now_s: f64) {
+        self.show_counted("view", stage, done, of, now_s);
+    }
+
+    /// As [`Self::show`], for a stage that counts something else than views: `unit` is its singular.
+    pub fn show_counted(&mut self, unit: &str, stage: &'static str, done: usize, of: usize, now_s: f64) {
         let (begun_s, shown_s) = match self.stage {
             Some((shown, begun_s, shown_s)) if shown == stage && done > 1 => (begun_s, shown_s),
             _ => (now_s, now_s),
         };
         let is_due = done == of || now_s - shown_s >= LINES_EVERY_S;
         self.stage = Some((stage, begun_s, if is_due { now_s } else { shown_s }));
-        // The rate is counted from the end of the first view, because the start of the stage is not reported.
+        // The rate is counted from the end of the first one, because the start of the stage is not reported.
         let per_s = done.saturating_sub(1) as f64 / (now_s - begun_s);
         let rate = if per_s > 0.0 && per_s.is_finite() {
-            format!(" · {per_s:.1} views/s · {} left", format_seconds(of.saturating_sub(done) as f64 / per_s))
+            format!(
+                " · {per_s:.1} {unit}s/s · {} left",
+                format_seconds(of.saturating_sub(done) as f64 / per_s)
+            )
         } else {
             String::new()
         };
-        let text = format!("{done} of {}{rate}", counted(of, "view"));
+        let text = format!("{done} of {}{rate}", counted(of, unit));
         match self.display {
             Display::Bars => {
                 self.bar.set_length(of as u64);

@@ -47,6 +47,12 @@ impl Projection {
         self.epsg
     }
 
+    /// The definition of the system as well-known text (WKT 1), for files that want it.
+    pub fn wkt(&self) -> &'static str {
+        let code = u16::try_from(self.epsg).expect("a system has a number of 16 bits");
+        crs_definitions::from_code(code).map_or("", |definition| definition.wkt)
+    }
+
     /// Easting, northing and ellipsoidal height of a place. An error if the system does not cover it.
     pub fn project(&self, place: &Geodetic) -> Result<DVec3, GeoError> {
         let Geodetic { latitude_deg, longitude_deg, height_m } = *place;
@@ -115,6 +121,12 @@ mod tests {
         };
         assert_eq!([zone(30.0, -98.1), zone(53.0, 16.5)], [32_614, 32_633]);
         assert_eq!([zone(-1.0, -180.0), zone(1.0, 180.0), zone(1.0, 179.9)], [32_701, 32_601, 32_660]);
+    }
+
+    #[test]
+    fn systems_have_their_texts() {
+        let wkt = Projection::new(32_633).unwrap().wkt();
+        assert!(wkt.starts_with("PROJCS[") && wkt.ends_with("AUTHORITY[\"EPSG\",\"32633\"]]"), "{wkt}");
     }
 
     #[test]

@@ -61,6 +61,21 @@ impl Caster {
         })
     }
 
+    /// The height (world z) of the highest surface at or below `from` and straight below it, which is what an orthographic
+    /// camera that looks down sees; `None` if there is none.
+    pub fn height_below(&self, from: DVec3) -> Option<f64> {
+        let ray = Ray { origin: from.as_vec3(), direction: Vec3::NEG_Z, t_min: 0.0, t_max: f32::INFINITY };
+        let hit = self.bvh.nearest(&[ray])[0]?;
+        // The plane of the triangle in double precision, as in `Shooter::meet`.
+        let [a, b, c] = self.corners[hit.triangle as usize].map(|p| p.as_dvec3());
+        let normal = (b - a).cross(c - a);
+        // A wall's own plane does not tell where its edge is; the ray's hit does.
+        if normal.z.abs() < 1e-3 * normal.length() {
+            return Some(from.z - f64::from(hit.t));
+        }
+        Some(a.z - (normal.x * (from.x - a.x) + normal.y * (from.y - a.y)) / normal.z)
+    }
+
     /// For each pixel position: depth and normal where its ray first meets the surface, or `None` if it meets
     /// no surface.
     fn intersect<const N: usize>(
@@ -209,6 +224,22 @@ mod tests {
             assert!((slope(center) + side).abs() < 1e-3, "{i}: {center:?}");
             assert!((slope(area) - side / 3.0).abs() < 1e-3, "{i}: {area:?}");
         }
+    }
+
+    #[test]
+    fn the_surface_below_a_point_has_the_height_of_its_equation() {
+        let mut mesh = slanted(0.3);
+        mesh.positions.extend([[3.0, -4.0, 20.0], [6.0, -4.0, 20.0], [3.0, -1.0, 20.0]]);
+        mesh.triangles.push([4, 5, 6]);
+        let caster = Caster::new(&mesh);
+        let height = |x, y, z| caster.height_below(DVec3::new(x, y, z));
+        assert_eq!(height(4.0, -3.5, 30.0), Some(20.0), "the highest surface counts");
+        for (x, y) in [(4.0, -3.5), (-77.0, 31.0), (0.0, 0.0)] {
+            let got = height(x, y, 19.0).filter(|_| x > -60.0).or(height(x, y, 30.0)).unwrap();
+            assert!((got - (2.0 + 0.3 * x)).abs() < 1e-5, "{x} {y}: {got}");
+        }
+        assert_eq!(height(101.0, 0.0, 100.0), None);
+        assert_eq!(height(0.0, 0.0, 1.0), None, "the surface lies above");
     }
 
     #[test]

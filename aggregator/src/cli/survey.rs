@@ -1,0 +1,162 @@
+//! `survey`: writes what a surveyor delivers of a model.
+
+use std::io::{self, Write};
+use std::path::PathBuf;
+use std::time::Instant;
+
+use anyhow::{Result, bail, ensure};
+use clap::Args;
+use cosurf_aggregator::Meter;
+use cosurf_aggregator::survey::{Accuracy, SurveyEvent, SurveyOrder, survey};
+use cosurf_contract::counted;
+use cosurf_geo::{Geodetic, Georeference};
+use cosurf_scene::bytes::parse_bytes;
+
+use super::arguments::parse_length;
+use super::host::{cores, display};
+
+/// Make maps, points, contours and volumes of a georeferenced model, with a statement of their accuracy.
+///
+/// Writes to the folder OUT: dsm.tif (heights) and ortho.tif (a true orthophoto), both Cloud-Optimised GeoTIFF;
+/// points.laz; contours.geojson; volumes.json with --volumes; and accuracy.json, last. Heights are metres above the
+/// ellipsoid of WGS 84. They show the highest surface: ground, roofs and trees.
+///
+/// The world of the model must be metres east, north and up of an origin. geo.json in DIR tells where that is, or
+/// --origin does.
+#[derive(Args)]
+pub(crate) struct SurveyArgs {
+    /// Output folder of a mission, a service, a merge or an agent: a model, and cameras.json
+    #[arg(value_name = "DIR")]
+    folder: PathBuf,
+    /// Folder to write to
+    #[arg(long, value_name = "OUT")]
+    out: PathBuf,
+    /// Where the world's origin is: degrees north, degrees east, metres above the ellipsoid of WGS 84. Instead of geo.json
+    #[arg(long, value_name = "LAT,LON,HEIGHT", value_parser = parse_origin, allow_hyphen_values = true)]
+    origin: Option<Geodetic>,
+    /// Coordinate system of the maps and points, as its EPSG number; it must be in metres [default: that of geo.json, or
+    /// the UTM zone of the origin]
+    #[arg(long, value_name = "N")]
+    epsg: Option<u32>,
+    /// Side of a pixel of the maps, metres [default: median length that a pixel of the cameras covers on the surface]
+    #[arg(long, value_name = "M", value_parser = parse_length)]
+    gsd: Option<f64>,
+    /// Difference of height between two contours, metres
+    #[arg(long, value_name = "M", default_value_t = 1.0, value_parser = parse_length)]
+    contours: f64,
+    /// GeoJSON file of polygons, in longitude and latitude, whose volumes to measure: above and below a plane through the
+    /// polygon's border
+    #[arg(long, value_name = "FILE")]
+    volumes: Option<PathBuf>,
+    /// Memory limit, for example 500MiB; if it is small, the mesh is coarser. A line on standard error tells that
+    #[arg(long, value_name = "BYTES", default_value = "2GiB", value_parser = parse_bytes)]
+    memory: u64,
+    /// Print progress and result as lines of JSON
+    #[arg(long)]
+    json: bool,
+}
+
+pub(crate) fn run(args: &SurveyArgs) -> Result<()> {
+    let order = SurveyOrder {
+        folder: args.folder.clone(),
+        out: args.out.clone(),
+        georeference: georeference(args)?,
+        gsd_m: args.gsd,
+        contours_m: args.contours,
+        volumes: args.volumes.clone(),
+        memory_bytes: args.memory,
+        threads: cores(),
+    };
+    let begun = Instant::now();
+    let mut meter = Meter::new(display(args.json));
+    let accuracy = survey(&order, |event| {
+        let now_s = begun.elapsed().as_secs_f64();
+        match event {
+            SurveyEvent::Fusion(event) => meter.show_fusion(event, now_s),
+            SurveyEvent::Tiles { stage, done, of } => meter.show_counted("tile", stage, done, of, now_s),
+        }
+    })?;
+    meter.finish();
+    print(args, &accuracy, begun.elapsed().as_secs_f64())
+}
+
+/// Where the model lies, from the options or from its folder.
+fn georeference(args: &SurveyArgs) -> Result<Georeference> {
+    ensure!(args.folder.is_dir(), "{}: there is no such folder; name that of a model", args.folder.display());
+    let mut georeference = match (args.origin, Georeference::of_folder(&args.folder)?) {
+        (Some(origin), _) => Georeference::at(origin)?,
+        (None, Some(georeference)) => georeference,
+        (None, None) => bail!(
+            "{}: there is no {}, which tells where on the earth the model lies; give the world's origin with --origin LAT,LON,HEIGHT",
+            args.folder.display(),
+            Georeference::FILE
+        ),
+    };
+    if let Some(epsg) = args.epsg {
+        georeference.epsg = epsg;
+    }
+    georeference.projection()?;
+    Ok(georeference)
+}
+
+fn parse_origin(text: &str) -> Result<Geodetic, String> {
+    let numbers: Vec<f64> = text.split(',').filter_map(|part| part.trim().parse().ok()).collect();
+    let is_three = text.split(',').count() == 3 && numbers.iter().all(|number| number.is_finite());
+    let &[latitude_deg, longitude_deg, height_m] = &numbers[..] else { return Err(no_origin(text)) };
+    let origin = Geodetic { latitude_deg, longitude_deg, height_m };
+    if is_three {
+        origin.check().map(|()| origin).map_err(|error| error.to_string())
+    } else {
+        Err(no_origin(text))
+    }
+}
+
+fn no_origin(text: &str) -> String {
+    format!("'{text}' is not three numbers; write for example 53.3,16.4,70.5")
+}
+
+fn print(args: &SurveyArgs, accuracy: &Accuracy, seconds: f64) -> Result<()> {
+    let mut stdout = io::stdout().lock();
+    if args.json {
+        let line = serde_json::json!({"event": "survey", "accuracy": accuracy, "seconds": seconds});
+        writeln!(stdout, "{line}")?;
+        return Ok(());
+    }
+    let Accuracy { epsg, gsd_m, size_px: [width, height], covered_m2, points, .. } = accuracy;
+    let [low_m, high_m] = accuracy.height_range_m;
+    writeln!(
+        stdout,
+        "EPSG:{epsg} · {width} × {height} pixels of {gsd_m} m · {covered_m2:.0} m² · heights {low_m:.2} m to {high_m:.2} m, {} · {} · {seconds:.1} s",
+        accuracy.heights,
+        counted(*points, "point"),
+    )?;
+    for made in &accuracy.made {
+        writeln!(stdout, "{}", args.out.join(made.file).display())?;
+    }
+    writeln!(stdout, "{}", args.out.join("accuracy.json").display())?;
+    Ok(())
+}
+
+#[cfg(test)]
+mod tests {
+    #![allow(clippy::unwrap_used)]
+    use super::*;
+
+    #[test]
+    fn origins_are_three_numbers_of_a_place() {
+        let origin = parse_origin("-53.3, 16.4,-0.5").unwrap();
+        assert_eq!(origin, Geodetic { latitude_deg: -53.3, longitude_deg: 16.4, height_m: -0.5 });
+        for (text, told) in [
+            ("53.3,16.4", "not three numbers"),
+            ("53.3,16.4,x", "not three numbers"),
+            ("53.3,16.4,1,2", "not three numbers"),
+            ("nan,16.4,1", "not three numbers"),
+            ("153.3,16.4,1", "no place on the earth"),
+            ("53.3,16.4,inf", "not three numbers"),
+            ("53.3,16.4,1e9", "no place on the earth"),
+        ] {
+            let error = parse_origin(text).unwrap_err();
+            assert!(error.contains(told), "{text}: {error}");
+        }
+    }
+}

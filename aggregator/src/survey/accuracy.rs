@@ -1,0 +1,150 @@
+//! `accuracy.json`: what the deliverables are, and how accurate they are known to be.
+//!
+//! What it knows nothing about: how anything was computed; it only states it.
+
+use cosurf_geo::{Geodetic, Georeference, GpsResiduals, PointResidual};
+use serde::Serialize;
+
+use super::cog::HEIGHTS;
+use super::heights::Covered;
+use super::lattice::Lattice;
+
+/// The content of `accuracy.json`.
+#[derive(Clone, Debug, PartialEq, Serialize)]
+pub struct Accuracy {
+    /// Origin of the site.
+    pub origin: Geodetic,
+    /// EPSG number of the coordinate system of the maps and points.
+    pub epsg: u32,
+    /// What heights are.
+    pub heights: &'static str,
+    /// Side of a pixel of the maps, metres in the coordinate system.
+    pub gsd_m: f64,
+    /// Width and height of the maps, px.
+    pub size_px: [u32; 2],
+    /// Area with heights, square metres on the ground.
+    pub covered_m2: f64,
+    /// Lowest and highest height, metres.
+    pub height_range_m: [f64; 2],
+    /// Number of points in `points.laz`.
+    pub points: u64,
+    /// Points per square metre of the covered area.
+    pub points_per_m2: f64,
+    /// Edge length of the mesh's voxels, metres: detail of the surface that is smaller is not in the heights.
+    pub voxel_m: f64,
+    /// Number of cameras.
+    pub cameras: usize,
+    /// Number of splats that floated above the surface, and are not in `ortho.tif`.
+    pub splats_left_out: usize,
+    /// How well the photographs' GPS agrees with their poses; absent if the place does not come from GPS.
+    pub gps: Option<GpsResiduals>,
+    /// The points on the ground that the place was fitted to; absent if there are none.
+    pub control: Option<PointsAccuracy>,
+    /// Points on the ground that were held out; absent if there are none. Only these tell the accuracy on the ground.
+    pub check: Option<PointsAccuracy>,
+    /// For each file: how it was made.
+    pub made: Vec<MadeFile>,
+}
+
+/// How well points on the ground were met.
+#[derive(Clone, Debug, PartialEq, Serialize)]
+pub struct PointsAccuracy {
+    /// Root mean square of the residuals: east, north, up, metres.
+    pub rmse_m: [f64; 3],
+    /// The residual of each.
+    pub points: Vec<PointResidual>,
+}
+
+/// How a file was made.
+#[derive(Clone, Debug, PartialEq, Serialize)]
+pub struct MadeFile {
+    /// Name of the file.
+    pub file: &'static str,
+    /// One sentence.
+    pub how: String,
+}
+
+/// Figures of what was made.
+#[derive(Clone, Copy, Debug)]
+pub(super) struct Made {
+    pub(super) covered: Covered,
+    pub(super) points: u64,
+    pub(super) voxel_m: f64,
+    pub(super) cameras: usize,
+    pub(super) splats_left_out: usize,
+}
+
+pub(super) fn accuracy_of(
+    georeference: &Georeference,
+    lattice: &Lattice,
+    made: &Made,
+    contours_m: f64,
+    has_volumes: bool,
+) -> Accuracy {
+    let Made { covered, points, voxel_m, cameras, splats_left_out } = *made;
+    Accuracy {
+        origin: georeference.origin,
+        epsg: georeference.epsg,
+        heights: HEIGHTS,
+        gsd_m: lattice.gsd_m(),
+        size_px: lattice.size_px(),
+        covered_m2: covered.area_m2,
+        height_range_m: covered.range_m,
+        points,
+        points_per_m2: points as f64 / covered.area_m2,
+        voxel_m,
+        cameras,
+        splats_left_out,
+        gps: georeference.gps,
+        control: PointsAccuracy::of(&georeference.control),
+        check: PointsAccuracy::of(&georeference.check),
+        made: made_files(contours_m, has_volumes),
+    }
+}
+
+fn made_files(contours_m: f64, has_volumes: bool) -> Vec<MadeFile> {
+    let mut files = vec![
+        ("dsm.tif", "Highest surface of a mesh, at the centre of each pixel that two cameras see; the mesh was fused from the model's depth in all cameras.".into()),
+        ("ortho.tif", "The splats of the model, rendered from straight above each pixel, without those that float above the mesh.".into()),
+        ("points.laz", "The vertices of the mesh that two cameras see, with its colours.".into()),
+        ("contours.geojson", format!("Lines every {contours_m} m, by marching squares through means of dsm.tif.")),
+    ];
+    if has_volumes {
+        files.push((
+            "volumes.json",
+            "Sums over the pixels of dsm.tif in each polygon, against a plane fitted to the heights at its border.".into(),
+        ));
+    }
+    files.into_iter().map(|(file, how)| MadeFile { file, how }).collect()
+}
+
+impl PointsAccuracy {
+    fn of(points: &[PointResidual]) -> Option<Self> {
+        let mean_square = |axis: usize| {
+            points.iter().map(|point| point.residual_m[axis].powi(2)).sum::<f64>() / points.len() as f64
+        };
+        (!points.is_empty())
+            .then(|| Self { rmse_m: [0, 1, 2].map(|axis| mean_square(axis).sqrt()), points: points.to_vec() })
+    }
+}
+
+impl Accuracy {
+    /// The content of the file.
+    pub(super) fn to_json(&self) -> String {
+        serde_json::to_string_pretty(self).expect("numbers and texts") + "\n"
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn rmse_is_that_of_each_axis() {
+        let point = |residual_m| PointResidual { name: "A".into(), photographs: 3, residual_m };
+        let points = [point([3.0, 0.0, -1.0]), point([-4.0, 0.2, 1.0])];
+        let rmse_m = PointsAccuracy::of(&points).map(|accuracy| accuracy.rmse_m);
+        assert_eq!(rmse_m, Some([12.5f64.sqrt(), 0.02f64.sqrt(), 1.0]));
+        assert_eq!(PointsAccuracy::of(&[]), None);
+    }
+}

@@ -1,0 +1,56 @@
+//! Why there is no survey.
+
+use cosurf_geo::GeoError;
+use cosurf_scene::SceneError;
+
+use crate::mesh::MeshError;
+
+/// Why there is no survey.
+#[derive(Debug, thiserror::Error)]
+#[non_exhaustive]
+pub enum SurveyError {
+    /// A file cannot be read or written.
+    #[error(transparent)]
+    Scene(#[from] SceneError),
+    /// The georeference is wrong, or the coordinate system does not cover the site.
+    #[error(transparent)]
+    Geo(#[from] GeoError),
+    /// No mesh can be made.
+    #[error(transparent)]
+    Mesh(#[from] MeshError),
+    /// No two cameras see the same ground.
+    #[error(
+        "no two cameras see the same ground, so there is nothing to measure; use a model of overlapping pictures"
+    )]
+    NothingSeen,
+    /// The map has too many pixels.
+    #[error("pixels of {gsd_m} m make a map of {} × {} px, but {} px a side are the most; use --gsd {enough_m} or more", size_px[0], size_px[1], side_max_px)]
+    TooLarge {
+        /// Side of a pixel, metres.
+        gsd_m: f64,
+        /// Width and height, px.
+        size_px: [u64; 2],
+        /// Largest side, px.
+        side_max_px: u64,
+        /// A side of a pixel that suffices, metres.
+        enough_m: f64,
+    },
+    /// There would be too many contours.
+    #[error("contours every {step_m} m are too many for heights from {:.1} m to {:.1} m; use --contours {enough_m} or more", range_m[0], range_m[1])]
+    TooManyContours {
+        /// Difference of height between two contours, metres.
+        step_m: f64,
+        /// Lowest and highest height, metres.
+        range_m: [f64; 2],
+        /// A difference that suffices, metres.
+        enough_m: f64,
+    },
+    /// A polygon has no surface at its border.
+    #[error(
+        "{name}: its border shows too little of the surface to fit a plane to it; draw it on ground that the map covers"
+    )]
+    NoBorder {
+        /// Name of the polygon.
+        name: String,
+    },
+}

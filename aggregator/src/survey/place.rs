@@ -1,0 +1,96 @@
+//! Where the world of a model lies in a coordinate system of maps.
+//!
+//! What it knows nothing about: pixels and models.
+
+use cosurf_geo::{GeoError, Geodetic, Georeference, Projection, SiteFrame};
+use glam::{DVec2, DVec3};
+
+/// The mapping between the frame of a site (ENU, metres) and a map (easting, northing, ellipsoidal height, metres).
+#[derive(Debug)]
+pub(super) struct Place {
+    site: SiteFrame,
+    projection: Projection,
+}
+
+/// A vertical line of the world, above a point of the map.
+#[derive(Clone, Copy, Debug, Default, PartialEq)]
+pub(super) struct Column {
+    /// Where it stands in the frame of the site: east and north, metres.
+    pub(super) at: DVec2,
+    /// The ellipsoidal height of its points, minus their world z, metres.
+    pub(super) lift_m: f64,
+}
+
+impl Place {
+    pub(super) fn new(georeference: &Georeference) -> Result<Self, GeoError> {
+        Ok(Self { site: georeference.site()?, projection: georeference.projection()? })
+    }
+
+    pub(super) fn projection(&self) -> &Projection {
+        &self.projection
+    }
+
+    /// Easting, northing and ellipsoidal height of a position in the world.
+    pub(super) fn map_from_enu(&self, enu: DVec3) -> Result<DVec3, GeoError> {
+        self.projection.project(&self.site.geodetic_from_enu(enu))
+    }
+
+    /// Easting and northing of a longitude and latitude, degrees.
+    pub(super) fn map_from_degrees(&self, longitude_deg: f64, latitude_deg: f64) -> Result<DVec2, GeoError> {
+        let place = Geodetic { latitude_deg, longitude_deg, height_m: self.site.origin().height_m };
+        place.check()?;
+        Ok(self.projection.project(&place)?.truncate())
+    }
+
+    /// Longitude and latitude, degrees, of an easting and northing.
+    pub(super) fn degrees_from_map(&self, at: DVec2) -> Result<[f64; 2], GeoError> {
+        let place = self.projection.unproject(at.extend(self.site.origin().height_m))?;
+        Ok([place.longitude_deg, place.latitude_deg])
+    }
+
+    /// The column at an easting and northing. Lines of equal easting and northing are not quite parallel to the world's z
+    /// axis: 1 km from the origin they lean by 0.16 mm per metre. The column is exact at the world height `z_m`.
+    pub(super) fn column(&self, at: DVec2, z_m: f64) -> Result<Column, GeoError> {
+        let mut height_m = self.site.origin().height_m + z_m;
+        let mut enu = DVec3::ZERO;
+        // The second round corrects the height by how far the ellipsoid has fallen away from the plane z = 0.
+        for _ in 0..2 {
+            enu = self.site.enu_from_geodetic(&self.projection.unproject(at.extend(height_m))?);
+            height_m += z_m - enu.z;
+        }
+        Ok(Column { at: enu.truncate(), lift_m: height_m - z_m })
+    }
+}
+
+#[cfg(test)]
+pub(super) mod tests {
+    #![allow(clippy::unwrap_used)]
+    use super::*;
+
+    /// A site in Poland, 70 m above the ellipsoid, in UTM zone 33.
+    pub(in crate::survey) fn place() -> Place {
+        let origin = Geodetic { latitude_deg: 53.3, longitude_deg: 16.4, height_m: 70.0 };
+        Place::new(&Georeference::at(origin).unwrap()).unwrap()
+    }
+
+    #[test]
+    fn columns_lead_back_to_the_places_on_the_map() {
+        let place = place();
+        for enu in [DVec3::new(0.0, 0.0, 12.0), DVec3::new(1500.0, -900.0, 12.0)] {
+            let map = place.map_from_enu(enu).unwrap();
+            let column = place.column(map.truncate(), enu.z).unwrap();
+            assert!(column.at.distance(enu.truncate()) < 1e-5, "{enu}: {column:?}");
+            assert!((column.lift_m + enu.z - map.z).abs() < 1e-5, "{enu}: {column:?}");
+        }
+    }
+
+    #[test]
+    fn degrees_are_longitude_first() {
+        let place = place();
+        let at = place.map_from_degrees(16.4, 53.3).unwrap();
+        assert!(at.distance(place.map_from_enu(DVec3::ZERO).unwrap().truncate()) < 1e-3);
+        let [longitude, latitude] = place.degrees_from_map(at).unwrap();
+        assert!((longitude - 16.4).abs() < 1e-8 && (latitude - 53.3).abs() < 1e-8);
+        assert!(place.map_from_degrees(16.4, 153.3).is_err());
+    }
+}
