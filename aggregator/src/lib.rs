@@ -11,6 +11,7 @@
 //!
 //! ```text
 //! mission                     pictures to report on one machine
+//!  ├─ georeference            where on the earth, taken over from a dataset or models
 //!  ├─ outputs                 mesh and report of a global model, without photographs
 //!  ├─ report                  figures, tables and pages
 //!  ├─ service                 models in, global model out
@@ -34,6 +35,7 @@ pub mod broker;
 pub mod evaluate;
 pub mod gate;
 pub mod gateway;
+pub mod georeference;
 pub mod merge;
 pub mod mesh;
 pub mod mission;

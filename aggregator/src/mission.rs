@@ -31,6 +31,7 @@ use cosurf_wire::{ModelHeader, SiteId};
 
 use crate::broker::{Broker, Reach, local_address};
 use crate::evaluate::{Judge, Quality, Yardsticks};
+use crate::georeference::{common_georeference, write_georeference};
 use crate::outputs::{Relief, relief};
 use crate::report::{Drawings, EdgeSummary, MissionReport, Showcase, page, showcases};
 use crate::service::{Merging, global_ply, write_joined};
@@ -59,6 +60,8 @@ pub fn fly(order: &MissionOrder, around: &Surroundings) -> Result<MissionReport,
         city::make(city, &order.settings.data, progress)?;
     }
     let mut dataset = Dataset::open(&order.settings.data)?;
+    let georeference = common_georeference(std::slice::from_ref(&order.settings.data))?;
+    write_georeference(georeference.as_ref(), &order.out)?;
     // Read before the agents start, so that a wrong folder is reported before the training.
     let frame = LocalFrame::of(dataset.cameras_of_views());
     let yardsticks = Yardsticks::read(&order.settings.data, order.lpips.as_deref(), None, &frame)?;

@@ -10,6 +10,7 @@ use std::time::Instant;
 use anyhow::{Result, ensure};
 use clap::Args;
 use cosurf_aggregator::gate::{Place, Workspace, admit};
+use cosurf_aggregator::georeference::{common_georeference, write_georeference};
 use cosurf_aggregator::merge::{
     LocalSummary, Locals, MergeError, MergeProgress, MergeSettings, MergeSummary, MergedFile, Resources,
     Tiles, UNPROVEN_TOLD, Workers, keep_only, merge_to_file,
@@ -148,6 +149,7 @@ pub(crate) fn run(args: &MergeArgs) -> Result<()> {
         (None, _) => Tiles::Forgotten,
     };
     let resources = Resources { scratch: &args.out, tiles, threads };
+    let georeference = common_georeference(&args.models)?;
     let folders = Folders::open(&args.models)?;
     let admitted =
         admit(&folders, (&settings).into(), Workspace::of(&settings, &args.out, threads), &|| false)?;
@@ -164,6 +166,7 @@ pub(crate) fn run(args: &MergeArgs) -> Result<()> {
         _ => error.into(),
     })?;
     write(&args.out, &merged, &folders.frame)?;
+    write_georeference(georeference.as_ref(), &args.out)?;
     if let Some(results) = &results {
         keep_only(results, &merged.tiles)?;
     }

@@ -10,6 +10,7 @@ use super::city::MakeCityError;
 use super::plan::PlanError;
 use crate::broker::BrokerError;
 use crate::evaluate::YardstickError;
+use crate::georeference::GeoreferenceError;
 use crate::report::ShowcaseError;
 use crate::service::{BROKER_ATTEMPTS_MAX, ServiceError};
 use crate::views::ViewError;
@@ -30,6 +31,9 @@ pub enum MissionError {
     /// A file could not be read or written.
     #[error(transparent)]
     Scene(#[from] SceneError),
+    /// The georeference of the dataset is wrong.
+    #[error(transparent)]
+    Georeference(#[from] GeoreferenceError),
     /// A picture for the report cannot be rendered.
     #[error(transparent)]
     View(#[from] ViewError),

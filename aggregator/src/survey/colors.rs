@@ -17,7 +17,7 @@ use cosurf_scene::{Camera, LocalFrame, Pose, Splats};
 use glam::{DVec2, DVec3};
 
 use super::error::SurveyError;
-use super::lattice::{Lattice, Window};
+use super::lattice::{Lattice, TILE_PX, Window};
 use super::place::Column;
 use super::tiles::Tiles;
 
@@ -25,6 +25,8 @@ use super::tiles::Tiles;
 const ABOVE_M: f64 = 30_000.0;
 /// Pixels that are rendered around a tile, for what shows up outwards; enough for 600 m of relief.
 const MARGIN_PX: u32 = 8;
+/// Width and height of the largest rendering, px.
+pub(super) const PICTURE_PX: [u32; 2] = [TILE_PX + 2 * MARGIN_PX; 2];
 /// Below this alpha the splats show too little to have a colour.
 const ALPHA_LEAST: f32 = 0.1;
 

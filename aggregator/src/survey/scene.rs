@@ -5,9 +5,12 @@
 use std::ops::ControlFlow;
 use std::path::{Path, PathBuf};
 
+use cosurf_engine::budget::Viewing;
 use cosurf_scene::{Camera, Dataset, LocalFrame, Mesh, SceneError, Splats, ply};
+use glam::DVec3;
 use rayon::prelude::*;
 
+use super::colors::PICTURE_PX;
 use super::error::SurveyError;
 use super::heights::Surface;
 use crate::mesh::{FuseEvent, FuseSettings, MeshError, check_memory, mesh_model};
@@ -53,6 +56,11 @@ impl Scene {
         let scene = Self { model, cameras, frame };
         let (splats, sh_degree) = ply::size(&scene.model)?;
         check_memory(splats, sh_degree, &scene.local_cameras(), None, memory_bytes)?;
+        let viewing = Viewing { splats, sh_degree, size_px: PICTURE_PX };
+        let needed_bytes = viewing.bytes(viewing.usual_pairs());
+        if needed_bytes > memory_bytes {
+            return Err(MeshError::TooLittleMemory { splats, needed_bytes, memory_bytes }.into());
+        }
         Ok(scene)
     }
 
@@ -69,7 +77,7 @@ impl Scene {
             on_event(event);
             ControlFlow::Continue(())
         });
-        let fused = fused.map_err(|error: MeshError| SurveyError::from(error))?;
+        let fused = fused.map_err(SurveyError::from)?;
         Ok(Relief { voxel_m: fused.voxel_m * self.frame.unit(), mesh: fused.mesh })
     }
 
@@ -78,7 +86,7 @@ impl Scene {
     pub(super) fn splats_of(&self, surface: &Surface, voxel_m: f64) -> Result<Kept, SceneError> {
         let splats = ply::read(&self.model, &self.frame)?;
         let floats = |mean: &[f32; 3]| {
-            let at = self.frame.world_from_local(glam::DVec3::from_array(mean.map(f64::from)));
+            let at = self.frame.world_from_local(DVec3::from_array(mean.map(f64::from)));
             at.z > surface.ceiling_m
                 || surface
                     .highest_near(at.truncate(), BESIDE_VOXELS * voxel_m)

@@ -1,1 +1,212 @@
-//! Surveys of a synthetic slope.
+//! Surveys of a synthetic slope, whose heights are known.
+#![allow(clippy::unwrap_used)]
+
+use std::path::Path;
+use std::process::Command;
+
+use cosurf_geo::{Geodetic, Georeference};
+use cosurf_scene::splats::SH_C0;
+use cosurf_scene::{Camera, LocalFrame, Splats, camera_list, ply};
+use cosurf_tests::skips::skip;
+use glam::{DVec2, DVec3};
+
+use super::heights::{Surface, find_heights};
+use super::lattice::Lattice;
+use super::place::Place;
+use super::scene::Scene;
+use super::tiles::Tiles;
+use super::witnesses::Witnesses;
+use super::{SurveyError, SurveyOrder, survey};
+use crate::testing::above;
+
+/// Metres up per metre east.
+const SLOPE: f64 = 0.2;
+const MEMORY_BYTES: u64 = 1 << 30;
+
+fn georeference() -> Georeference {
+    Georeference::at(Geodetic { latitude_deg: 53.3, longitude_deg: 16.4, height_m: 70.0 }).unwrap()
+}
+
+/// Nine cameras in a row, 10 m above the origin's plane, with pixels of a tenth of a metre there.
+fn cameras() -> Vec<Camera> {
+    (0..9).map(|i| above(f64::from(i) - 4.0).resized([120, 80])).collect()
+}
+
+/// A model in a folder: flat splats on the slope z = 0.2 x, half green and half blue, and a red one in mid-air.
+fn model(folder: &Path) {
+    let mut splats = Splats::with_capacity(0, 0);
+    let half_angle = 0.5 * SLOPE.atan();
+    let quat = [half_angle.cos() as f32, 0.0, -half_angle.sin() as f32, 0.0];
+    let colors = |rgb: [f32; 3]| rgb.map(|value| (value - 0.5) / SH_C0);
+    for i in -40..=40 {
+        for j in -30..=30 {
+            let [x, y] = [i, j].map(|of| 0.25 * of as f32);
+            let color = colors(if y < 0.0 { [0.1, 0.8, 0.2] } else { [0.1, 0.2, 0.8] });
+            splats.push([x, y, SLOPE as f32 * x], quat, [-1.8, -1.8, -6.0], 5.0, &color);
+        }
+    }
+    // Above all cameras: it hides a square metre of the map, but nothing from them.
+    splats.push([0.0, 1.0, 12.0], [1.0, 0.0, 0.0, 0.0], [-1.0, -1.0, -3.0], 5.0, &colors([1.0, 0.0, 0.0]));
+    ply::write(&folder.join("global.ply"), &splats, &LocalFrame::WORLD).unwrap();
+    camera_list::write(&folder.join(camera_list::FILE), &cameras()).unwrap();
+}
+
+fn order(folder: &Path) -> SurveyOrder {
+    SurveyOrder {
+        folder: folder.into(),
+        out: folder.join("out"),
+        georeference: georeference(),
+        gsd_m: Some(0.1),
+        contours_m: 0.5,
+        volumes: None,
+        memory_bytes: MEMORY_BYTES,
+        threads: 2,
+    }
+}
+
+/// The heights of a map with tiles of this side, px, pixel by pixel.
+fn heights(scene: &Scene, folder: &Path, tile_px: u32) -> (Lattice, Vec<f32>) {
+    let relief = scene.mesh(MEMORY_BYTES, 2, |_| ()).unwrap();
+    let witnesses = Witnesses::of(&scene.cameras);
+    let surface = Surface::of(&relief.mesh, &scene.frame, &scene.cameras, &witnesses).unwrap();
+    let lattice = Lattice::around(Place::new(&georeference()).unwrap(), &surface.seen, 0.1).unwrap();
+    let [width, height] = lattice.size_px().map(|side| side as usize);
+    let mut tiles = Tiles::new(folder, lattice.size_px(), tile_px).unwrap();
+    find_heights(&surface, &witnesses, &lattice, &mut tiles, |_, _| ()).unwrap();
+    let mut all = vec![0.0; width * height];
+    for tile in 0..tiles.len() {
+        let (window, values) = (tiles.window(tile), tiles.read(tile).unwrap());
+        for (row, values) in values.chunks(window.size[0] as usize).enumerate() {
+            let first = (window.at[1] as usize + row) * width + window.at[0] as usize;
+            all[first..first + values.len()].copy_from_slice(values);
+        }
+    }
+    (lattice, all)
+}
+
+#[test]
+fn heights_are_those_of_the_slope_and_tiles_leave_no_seams() {
+    let folder = tempfile::tempdir().unwrap();
+    model(folder.path());
+    let scene = Scene::open(folder.path(), MEMORY_BYTES).unwrap();
+    let (lattice, large) = heights(&scene, folder.path(), 512);
+    let (_, small) = heights(&scene, folder.path(), 32);
+    let bits = |heights: &[f32]| heights.iter().map(|height| height.to_bits()).collect::<Vec<_>>();
+    assert!(bits(&large) == bits(&small), "the tiles' size must not matter");
+
+    let (width, mut errors) = (lattice.size_px()[0] as usize, Vec::new());
+    let mut seen_far_east = false;
+    for (i, height) in large.iter().enumerate().filter(|(_, height)| !height.is_nan()) {
+        let px = DVec2::new((i % width) as f64 + 0.5, (i / width) as f64 + 0.5);
+        let column = lattice.place().column(lattice.map_from_px(px), 0.0).unwrap();
+        // Cameras 4 m from the middle see 6 m to each side, and ground that only one sees has no height.
+        assert!(column.at.x.abs() < 10.0 && column.at.y.abs() < 5.0, "{}", column.at);
+        seen_far_east |= column.at.x > 7.0;
+        // The outermost splats are half a splat wide at the edge of the slope.
+        if column.at.x.abs() < 6.0 && column.at.y.abs() < 3.0 {
+            let truth = Geodetic { height_m: 0.0, ..georeference().origin };
+            assert!(truth.check().is_ok());
+            errors.push((f64::from(*height) - 70.0 - SLOPE * column.at.x).abs());
+        }
+    }
+    assert!(errors.len() > 6500 && seen_far_east, "{}", errors.len());
+    let worst = errors.iter().copied().fold(0.0, f64::max);
+    let mean = errors.iter().sum::<f64>() / errors.len() as f64;
+    assert!(worst < 0.03 && mean < 0.01, "worst {worst} m, mean {mean} m");
+}
+
+#[test]
+fn all_files_are_written_and_readers_understand_them() {
+    let folder = tempfile::tempdir().unwrap();
+    model(folder.path());
+    let polygons = folder.path().join("field.geojson");
+    // 4 m × 4 m about the origin: in degrees, 6e-5 × 3.6e-5.
+    let ring = "[[16.39997,53.299982],[16.40003,53.299982],[16.40003,53.300018],[16.39997,53.300018],[16.39997,53.299982]]";
+    std::fs::write(&polygons, format!(r#"{{"type":"Polygon","coordinates":[{ring}]}}"#)).unwrap();
+    let order = SurveyOrder { volumes: Some(polygons), ..order(folder.path()) };
+    let accuracy = survey(&order, |_| ()).unwrap();
+    assert_eq!((accuracy.epsg, accuracy.gsd_m, accuracy.splats_left_out), (32_633, 0.1, 1));
+    assert!((100.0..180.0).contains(&accuracy.covered_m2), "{accuracy:?}");
+    assert!(accuracy.check.is_none() && accuracy.points_per_m2 > 10.0, "{accuracy:?}");
+
+    let out = |name: &str| order.out.join(name);
+    let mut points = las::Reader::from_path(out("points.laz")).unwrap();
+    assert_eq!(points.header().number_of_points(), accuracy.points);
+    assert!(points.header().has_wkt_crs());
+    let place = Place::new(&order.georeference).unwrap();
+    let middle = place.map_from_enu(DVec3::ZERO).unwrap();
+    for point in points.points().map(Result::unwrap) {
+        let from = DVec3::new(point.x, point.y, point.z) - middle;
+        // Grid north is 1.1° from north here, and the slope goes east.
+        assert!((from.z - SLOPE * from.x).abs() < 0.1 && from.length() < 14.0, "{from}");
+        assert!(point.color.unwrap().red < 0x4000, "no point is red");
+    }
+    let volumes: serde_json::Value =
+        serde_json::from_slice(&std::fs::read(out("volumes.json")).unwrap()).unwrap();
+    let volume = |name: &str| volumes[0][name].as_f64().unwrap();
+    assert!((volume("area_m2") - 16.03).abs() < 0.1 && (volume("mean_height_m") - 70.0).abs() < 0.02);
+    assert!(volume("cut_m3") < 0.2 && volume("fill_m3") < 0.2 && volume("covered_share") > 0.97);
+    let contours = std::fs::read_to_string(out("contours.geojson")).unwrap();
+    let geojson::GeoJson::FeatureCollection(contours) = contours.parse().unwrap() else {
+        panic!("{contours}")
+    };
+    let mut levels: Vec<f64> =
+        contours.features.iter().map(|of| of.property("height_m").unwrap().as_f64().unwrap()).collect();
+    levels.dedup();
+    assert!(levels.contains(&70.0) && levels.contains(&71.0) && levels.len() >= 5, "{levels:?}");
+    check_with_gdal(&out("dsm.tif"), &out("ortho.tif"));
+}
+
+/// Reads the maps with GDAL's programs, if they are there.
+fn check_with_gdal(dsm: &Path, ortho: &Path) {
+    let Ok(dsm_info) = Command::new("gdalinfo").args(["-json", "-stats"]).arg(dsm).output() else {
+        return skip("REQUIRE_GDAL", "gdalinfo is not installed");
+    };
+    let dsm_info: serde_json::Value = serde_json::from_slice(&dsm_info.stdout).unwrap();
+    let wkt = dsm_info["coordinateSystem"]["wkt"].as_str().unwrap();
+    assert!(wkt.contains("UTM zone 33N") && wkt.contains("32633"), "{wkt}");
+    let [step_x, step_y] = [1, 5].map(|i| dsm_info["geoTransform"][i].as_f64().unwrap());
+    assert_eq!([step_x, step_y], [0.1, -0.1]);
+    let band = &dsm_info["bands"][0];
+    assert_eq!(band["noDataValue"].as_f64(), Some(-9999.0));
+    assert_eq!(band["type"], "Float32");
+    let mean = band["mean"].as_f64().unwrap();
+    assert!((mean - 70.0).abs() < 0.3, "{band}");
+    let ortho_info = Command::new("gdalinfo").arg("-json").arg(ortho).output().unwrap();
+    let ortho_info: serde_json::Value = serde_json::from_slice(&ortho_info.stdout).unwrap();
+    assert_eq!(ortho_info["geoTransform"], dsm_info["geoTransform"]);
+    assert_eq!(ortho_info["bands"].as_array().unwrap().len(), 4);
+    // The pixels north and south of the middle, 1.5 m from it; the red splat is above the northern one.
+    let middle = Place::new(&georeference()).unwrap().map_from_enu(DVec3::ZERO).unwrap();
+    for (north_m, wanted) in [(1.5, [26, 51, 204]), (-1.5, [26, 204, 51])] {
+        let mut command = Command::new("gdallocationinfo");
+        command.args(["-valonly", "-geoloc"]).arg(ortho);
+        let output = command.args([middle.x.to_string(), (middle.y + north_m).to_string()]).output().unwrap();
+        let text = String::from_utf8(output.stdout).unwrap();
+        let values: Vec<i32> = text.lines().map(|line| line.trim().parse().unwrap()).collect();
+        assert_eq!(values.len(), 4, "{text}");
+        assert!((0..3).all(|k| (values[k] - wanted[k]).abs() < 8) && values[3] == 255, "{values:?}");
+    }
+}
+
+#[test]
+fn impossible_surveys_are_refused_with_a_remedy() {
+    let folder = tempfile::tempdir().unwrap();
+    model(folder.path());
+    let refused = |order: SurveyOrder| survey(&order, |_| ()).unwrap_err().to_string();
+    let error = refused(SurveyOrder { memory_bytes: 1 << 20, ..order(folder.path()) });
+    assert!(error.contains("allow more memory (--memory)"), "{error}");
+    let error = refused(SurveyOrder { gsd_m: Some(1e-4), ..order(folder.path()) });
+    assert!(error.contains("use --gsd"), "{error}");
+    let error = refused(SurveyOrder { contours_m: 1e-4, ..order(folder.path()) });
+    assert!(error.contains("use --contours"), "{error}");
+    assert!(!folder.path().join("out/accuracy.json").exists(), "only a whole survey has a statement");
+    let mut elsewhere = georeference();
+    elsewhere.epsg = 4326;
+    let error = refused(SurveyOrder { georeference: elsewhere, ..order(folder.path()) });
+    assert!(error.contains("EPSG:4326"), "{error}");
+    // One camera sees the ground, but nothing can be measured.
+    camera_list::write(&folder.path().join(camera_list::FILE), &cameras()[..1]).unwrap();
+    let error = survey(&order(folder.path()), |_| ()).unwrap_err();
+    assert!(matches!(error, SurveyError::NothingSeen), "{error}");
+}
