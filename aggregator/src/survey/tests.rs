@@ -99,13 +99,13 @@ fn heights_are_those_of_the_slope_and_tiles_leave_no_seams() {
     for (i, height) in large.iter().enumerate().filter(|(_, height)| !height.is_nan()) {
         let px = DVec2::new((i % width) as f64 + 0.5, (i / width) as f64 + 0.5);
         let column = lattice.place().column(lattice.map_from_px(px), 0.0).unwrap();
-        // Cameras 4 m from the middle see 6 m to each side, and ground that only one sees has no height.
-        assert!(column.at.x.abs() < 10.0 && column.at.y.abs() < 5.0, "{}", column.at);
+        // The second camera from the end is 3 m from the middle, and sees 0.6 m to each side per metre of depth.
+        let depth = 10.0 - SLOPE * column.at.x;
+        let reach = DVec2::new(3.01 + 0.6 * depth, 0.01 + 0.4 * depth);
+        assert!(column.at.abs().cmplt(reach).all(), "{}", column.at);
         seen_far_east |= column.at.x > 7.0;
         // The outermost splats are half a splat wide at the edge of the slope.
         if column.at.x.abs() < 6.0 && column.at.y.abs() < 3.0 {
-            let truth = Geodetic { height_m: 0.0, ..georeference().origin };
-            assert!(truth.check().is_ok());
             errors.push((f64::from(*height) - 70.0 - SLOPE * column.at.x).abs());
         }
     }
@@ -135,7 +135,7 @@ fn all_files_are_written_and_readers_understand_them() {
     assert!(points.header().has_wkt_crs());
     let place = Place::new(&order.georeference).unwrap();
     let middle = place.map_from_enu(DVec3::ZERO).unwrap();
-    for point in points.points().map(Result::unwrap) {
+    for point in points.read_all().unwrap().points().map(Result::unwrap) {
         let from = DVec3::new(point.x, point.y, point.z) - middle;
         // Grid north is 1.1° from north here, and the slope goes east.
         assert!((from.z - SLOPE * from.x).abs() < 0.1 && from.length() < 14.0, "{from}");
@@ -159,7 +159,7 @@ fn all_files_are_written_and_readers_understand_them() {
 
 /// Reads the maps with GDAL's programs, if they are there.
 fn check_with_gdal(dsm: &Path, ortho: &Path) {
-    let Ok(dsm_info) = Command::new("gdalinfo").args(["-json", "-stats"]).arg(dsm).output() else {
+    let Ok(dsm_info) = Command::new("gdalinfo").arg("-json").arg(dsm).output() else {
         return skip("REQUIRE_GDAL", "gdalinfo is not installed");
     };
     let dsm_info: serde_json::Value = serde_json::from_slice(&dsm_info.stdout).unwrap();
@@ -170,23 +170,28 @@ fn check_with_gdal(dsm: &Path, ortho: &Path) {
     let band = &dsm_info["bands"][0];
     assert_eq!(band["noDataValue"].as_f64(), Some(-9999.0));
     assert_eq!(band["type"], "Float32");
-    let mean = band["mean"].as_f64().unwrap();
-    assert!((mean - 70.0).abs() < 0.3, "{band}");
     let ortho_info = Command::new("gdalinfo").arg("-json").arg(ortho).output().unwrap();
     let ortho_info: serde_json::Value = serde_json::from_slice(&ortho_info.stdout).unwrap();
     assert_eq!(ortho_info["geoTransform"], dsm_info["geoTransform"]);
     assert_eq!(ortho_info["bands"].as_array().unwrap().len(), 4);
     // The pixels north and south of the middle, 1.5 m from it; the red splat is above the northern one.
     let middle = Place::new(&georeference()).unwrap().map_from_enu(DVec3::ZERO).unwrap();
-    for (north_m, wanted) in [(1.5, [26, 51, 204]), (-1.5, [26, 204, 51])] {
-        let mut command = Command::new("gdallocationinfo");
-        command.args(["-valonly", "-geoloc"]).arg(ortho);
-        let output = command.args([middle.x.to_string(), (middle.y + north_m).to_string()]).output().unwrap();
-        let text = String::from_utf8(output.stdout).unwrap();
-        let values: Vec<i32> = text.lines().map(|line| line.trim().parse().unwrap()).collect();
-        assert_eq!(values.len(), 4, "{text}");
-        assert!((0..3).all(|k| (values[k] - wanted[k]).abs() < 8) && values[3] == 255, "{values:?}");
+    for (north_m, wanted) in [(1.5, [26.0, 51.0, 204.0]), (-1.5, [26.0, 204.0, 51.0])] {
+        let at = [middle.x.to_string(), (middle.y + north_m).to_string()];
+        let values = values_at(ortho, &at);
+        assert_eq!((values.len(), values[3]), (4, 255.0), "{values:?}");
+        assert!((0..3).all(|k| (values[k] - wanted[k]).abs() < 8.0), "{values:?}");
+        let height = values_at(dsm, &at);
+        assert!((height[0] - 70.0).abs() < 0.03, "{height:?}");
     }
+}
+
+/// The values of all bands at an easting and northing, by GDAL.
+fn values_at(map: &Path, at: &[String; 2]) -> Vec<f64> {
+    let output =
+        Command::new("gdallocationinfo").args(["-valonly", "-geoloc"]).arg(map).args(at).output().unwrap();
+    let text = String::from_utf8(output.stdout).unwrap();
+    text.lines().map(|line| line.trim().parse().unwrap()).collect()
 }
 
 #[test]
