@@ -50,8 +50,8 @@ enum Commands {
     Record(cli::tap::RecordArgs),
     Replay(cli::tap::ReplayArgs),
     Run(RunArgs),
-    Town(cli::town::TownArgs),
     Survey(cli::survey::SurveyArgs),
+    Town(cli::town::TownArgs),
     Worker(cli::worker::WorkerArgs),
 }
 
@@ -101,10 +101,10 @@ fn run_command(cli: Cli) -> Result<()> {
         Commands::Pki(args) => cli::pki::run(args),
         Commands::Record(args) => cli::tap::record(&args),
         Commands::Replay(args) => cli::tap::replay(&args),
+        Commands::Survey(args) => cli::survey::run(&args),
         Commands::Town(args) => cli::town::run(&args),
         Commands::Worker(args) => cli::worker::run(&args),
         Commands::Run(args) => run(&args),
-        Commands::Survey(args) => cli::survey::run(&args),
         Commands::Mesh(args) => cli::mesh::run(&args),
         Commands::EvalMesh(args) => cli::eval_mesh::run(&args),
     }
