@@ -52,4 +52,23 @@ pub enum GeoError {
         /// What is wrong.
         cause: serde_json::Error,
     },
+    /// The first line of a list of places names no coordinate system that is known.
+    #[error(
+        "'{line}' names no coordinate system that cosurf knows; write EPSG:4326, EPSG: with the number of a map, 'WGS84 UTM 14N' or a string of PROJ that begins with +proj="
+    )]
+    UnknownCrs {
+        /// The line.
+        line: String,
+    },
+    /// A file that somebody else wrote cannot be used.
+    #[error("{path}: {reason}")]
+    Refused {
+        /// The file.
+        path: PathBuf,
+        /// What is wrong, and what to do about it.
+        reason: String,
+    },
+    /// Too little is known to say where a reconstruction lies.
+    #[error("{0}")]
+    NoFit(&'static str),
 }

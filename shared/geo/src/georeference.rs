@@ -23,6 +23,9 @@ pub struct Georeference {
     /// The points on the ground that the place was fitted to.
     #[serde(default, skip_serializing_if = "Vec::is_empty")]
     pub control: Vec<PointResidual>,
+    /// How well the frame is known; absent if it was not fitted.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub uncertainty: Option<FitUncertainty>,
     /// Points on the ground that were held out, to tell how accurate the rest is.
     #[serde(default, skip_serializing_if = "Vec::is_empty")]
     pub check: Vec<PointResidual>,
@@ -39,6 +42,21 @@ pub struct GpsResiduals {
     pub horizontal_rms_m: f64,
     /// Root mean square of the differences of height of those that agree, metres.
     pub vertical_rms_m: f64,
+}
+
+/// How well a fitted frame is known: standard deviations that follow from the residuals.
+#[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
+pub struct FitUncertainty {
+    /// Of the direction of up, degrees.
+    pub tilt_deg: f64,
+    /// Of the direction of north, degrees.
+    pub heading_deg: f64,
+    /// Of lengths, as a share of the length.
+    pub scale_share: f64,
+    /// Of east and north of the middle of the dataset, metres.
+    pub horizontal_m: f64,
+    /// Of the height of the middle of the dataset, metres.
+    pub vertical_m: f64,
 }
 
 /// A point on the ground that was measured, and where the photographs show it.
@@ -60,7 +78,7 @@ impl Georeference {
     pub fn at(origin: Geodetic) -> Result<Self, GeoError> {
         origin.check()?;
         let epsg = Projection::utm_of(&origin).epsg();
-        Ok(Self { origin, epsg, gps: None, control: Vec::new(), check: Vec::new() })
+        Ok(Self { origin, epsg, gps: None, uncertainty: None, control: Vec::new(), check: Vec::new() })
     }
 
     /// The georeference in a folder; `None` if it has none.

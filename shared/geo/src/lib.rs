@@ -7,8 +7,10 @@
 //! - [`SiteFrame`]: converts between ENU and these.
 //! - [`Projection`]: a coordinate system of maps by its EPSG number, for what is delivered.
 //! - [`Georeference`]: the content of `geo.json`, which lies beside a dataset or a model.
+//! - [`PhotoInfo`], [`read_geo_txt`], [`read_gcp_list`]: what photographs and lists beside them tell about places.
+//! - [`fit()`]: the [`Similarity`] that takes a reconstruction to where these places say.
 //!
-//! What it knows nothing about: pictures, splats, structure from motion. Heights are ellipsoidal; it has no geoid.
+//! What it knows nothing about: pixels, cameras, splats, how a reconstruction is made. Heights are ellipsoidal; it has no geoid.
 //!
 //! Where to start reading: [`SiteFrame`].
 //!
@@ -27,14 +29,26 @@
 //! # Ok::<(), cosurf_geo::GeoError>(())
 //! ```
 
+mod crs;
 mod ellipsoid;
 mod error;
+mod fit;
+mod gcp;
+mod geo_txt;
 mod georeference;
+mod photo;
 mod projection;
+mod similarity;
 mod site;
+mod table;
 
 pub use ellipsoid::Geodetic;
 pub use error::GeoError;
-pub use georeference::{Georeference, GpsResiduals, PointResidual};
+pub use fit::{Fit, Sighting, Up, fit};
+pub use gcp::{ControlPoint, Mark, read_gcp_list};
+pub use geo_txt::{PhotoPlace, read_geo_txt};
+pub use georeference::{FitUncertainty, Georeference, GpsResiduals, PointResidual};
+pub use photo::{Gps, PhotoInfo};
 pub use projection::Projection;
+pub use similarity::Similarity;
 pub use site::SiteFrame;

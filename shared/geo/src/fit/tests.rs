@@ -1,0 +1,113 @@
+#![allow(clippy::unwrap_used)]
+use glam::{DQuat, DVec3};
+
+use super::*;
+
+const TRUTH: Similarity = Similarity {
+    scale: 11.3,
+    rotation: DQuat::from_xyzw(0.1, 0.7, -0.1, 0.7),
+    translation: DVec3::new(12.0, -40.0, 300.0),
+};
+
+fn truth() -> Similarity {
+    Similarity { rotation: TRUTH.rotation.normalize(), ..TRUTH }
+}
+
+/// A place in a flight of lines 150 m long, with these errors.
+fn sighting(i: usize, error_m: DVec3) -> Sighting {
+    let (line, along) = (i / 10, i % 10);
+    let enu_m = DVec3::new(along as f64 * 15.0, line as f64 * 20.0, 45.0 + (i % 3) as f64);
+    let truth = truth();
+    let model = truth.rotation.inverse() * (enu_m - truth.translation) / truth.scale;
+    Sighting { model, enu_m: enu_m + error_m, has_height: true, sigma_m: 0.02 }
+}
+
+fn up(off_deg: f64, sigma_deg: f64) -> Up {
+    let direction = truth().rotation.inverse() * (DQuat::from_rotation_x(off_deg.to_radians()) * DVec3::Z);
+    Up { direction, sigma_rad: sigma_deg.to_radians() }
+}
+
+fn tilt_deg(fit: &Fit) -> f64 {
+    let z = fit.similarity.rotation * (truth().rotation.inverse() * DVec3::Z);
+    z.angle_between(DVec3::Z).to_degrees()
+}
+
+/// Errors that look random, of about this size.
+fn noise(i: usize, size_m: f64) -> DVec3 {
+    let mut dice = fastrand::Rng::with_seed(i as u64);
+    DVec3::from([(); 3].map(|()| (dice.f64() + dice.f64() + dice.f64() - 1.5) * 2.0 * size_m))
+}
+
+#[test]
+fn exact_places_give_the_exact_similarity_whatever_up_says() {
+    let gps: Vec<_> = (0..40).map(|i| sighting(i, DVec3::ZERO)).collect();
+    let fit = fit(&gps, &[], &up(3.0, 2.0)).unwrap();
+    assert!(tilt_deg(&fit) < 0.2, "{}", tilt_deg(&fit));
+    let worst = gps.iter().map(|place| place.residual(&fit.similarity).length()).fold(0.0, f64::max);
+    assert!(worst < 0.2, "{worst} m");
+    assert!(fit.agrees.iter().all(|agrees| *agrees));
+    assert!((fit.similarity.scale / TRUTH.scale - 1.0).abs() < 0.001);
+}
+
+#[test]
+fn one_photograph_ten_kilometres_off_changes_nothing() {
+    let mut gps: Vec<_> = (0..40).map(|i| sighting(i, noise(i, 3.0))).collect();
+    let without = fit(&gps[1..], &[], &up(1.0, 2.0)).unwrap();
+    gps[0].enu_m += DVec3::new(10_000.0, 0.0, 0.0);
+    let with = fit(&gps, &[], &up(1.0, 2.0)).unwrap();
+    assert_eq!(with.agrees.iter().filter(|agrees| !**agrees).count(), 1);
+    assert!(!with.agrees[0]);
+    let place = sighting(20, DVec3::ZERO).model;
+    assert!(with.similarity.apply(place).distance(without.similarity.apply(place)) < 0.5);
+    assert_eq!(with.gps.unwrap().photographs, 40);
+    assert!((2.0..8.0).contains(&with.gps.unwrap().horizontal_rms_m), "{:?}", with.gps);
+}
+
+#[test]
+fn drifting_heights_do_not_tilt_the_ground() {
+    // From the first line to the last, the heights of GPS climb by 30 m within 60 m: a tilt of 27 degrees.
+    let drift = |i: usize| DVec3::new(0.0, 0.0, i as f64 * 0.75) + noise(i, 3.0);
+    let gps: Vec<_> = (0..40).map(|i| sighting(i, drift(i))).collect();
+    let fit = fit(&gps, &[], &up(1.0, 2.0)).unwrap();
+    assert!(tilt_deg(&fit) < 6.0, "{}", tilt_deg(&fit));
+    assert!(fit.gps.unwrap().vertical_rms_m > 5.0, "{:?}", fit.gps);
+    assert!((0.5..6.0).contains(&fit.uncertainty.tilt_deg), "{:?}", fit.uncertainty);
+}
+
+#[test]
+fn a_flight_that_is_thirty_metres_too_high_is_as_level_as_another() {
+    let gps: Vec<_> =
+        (0..40).map(|i| sighting(i, noise(i, 3.0) + DVec3::Z * if i < 12 { 30.0 } else { 0.0 })).collect();
+    let fit = fit(&gps, &[], &up(1.0, 2.0)).unwrap();
+    assert!(tilt_deg(&fit) < 4.0, "{}", tilt_deg(&fit));
+}
+
+#[test]
+fn control_points_outweigh_gps() {
+    let gps: Vec<_> = (0..40).map(|i| sighting(i, DVec3::new(7.0, -4.0, 25.0) + noise(i, 3.0))).collect();
+    let control: Vec<_> =
+        [0, 9, 30, 39].map(|i| Sighting { sigma_m: 0.05, ..sighting(i, noise(i, 0.02)) }).to_vec();
+    let fit = fit(&gps, &control, &up(3.0, 2.0)).unwrap();
+    let off = fit.similarity.apply(sighting(20, DVec3::ZERO).model).distance(sighting(20, DVec3::ZERO).enu_m);
+    assert!(off < 0.2, "{off} m");
+    assert!(fit.uncertainty.horizontal_m < 0.2, "{:?}", fit.uncertainty);
+    let horizontal_m = fit.gps.unwrap().horizontal_rms_m;
+    assert!((7.0..13.0).contains(&horizontal_m), "GPS is 8 m off: {horizontal_m}");
+}
+
+#[test]
+fn places_without_heights_are_enough_for_the_plane() {
+    let gps: Vec<_> =
+        (0..10).map(|i| Sighting { has_height: false, ..sighting(i * 4, noise(i, 1.0)) }).collect();
+    let fit = fit(&gps, &[], &up(0.0, 2.0)).unwrap();
+    assert!((fit.similarity.scale / TRUTH.scale - 1.0).abs() < 0.05);
+    assert!(fit.uncertainty.vertical_m > 100.0);
+}
+
+#[test]
+fn too_little_is_refused() {
+    let gps: Vec<_> = (0..2).map(|i| sighting(i, DVec3::ZERO)).collect();
+    assert!(fit(&gps, &[], &up(0.0, 2.0)).unwrap_err().to_string().contains("fewer than 3"));
+    let same = [sighting(1, DVec3::ZERO); 5];
+    assert!(fit(&same, &[], &up(0.0, 2.0)).unwrap_err().to_string().contains("same place"));
+}

@@ -1,0 +1,121 @@
+//! `gcp_list.txt` of ODM: points on the ground that were measured, and where photographs show them.
+//!
+//! The first line names the coordinate system; each further one is a mark:
+//! `east north height pixel_x pixel_y photograph [name]`.
+
+use std::path::Path;
+
+use glam::DVec2;
+
+use crate::ellipsoid::Geodetic;
+use crate::error::GeoError;
+use crate::table::{Table, number};
+
+/// Marks of one unnamed point repeat its east and north within this, in the units of the list.
+const SAME: f64 = 1e-6;
+
+/// A point on the ground that was measured.
+#[derive(Clone, Debug, PartialEq)]
+pub struct ControlPoint {
+    /// Its name; `1`, `2` and so on if the list gives none.
+    pub name: String,
+    /// Where it was measured. If the marks repeat it with several heights, the height is their mean.
+    pub place: Geodetic,
+    /// Where photographs show it.
+    pub marks: Vec<Mark>,
+}
+
+/// Where a photograph shows a point.
+#[derive(Clone, Debug, PartialEq)]
+pub struct Mark {
+    /// Name of the photograph's file.
+    pub photograph: String,
+    /// Position in the stored picture, pixels from its top-left corner.
+    pub at_px: DVec2,
+}
+
+/// A line of the list.
+struct Line {
+    at: [f64; 3],
+    mark: Mark,
+    name: Option<String>,
+}
+
+/// Reads a `gcp_list.txt`. Marks with one name, or without a name but with the same east and north, are of one point.
+pub fn read_gcp_list(path: &Path) -> Result<Vec<ControlPoint>, GeoError> {
+    let table = Table::read(path)?;
+    let mut points: Vec<(Option<String>, Vec<Line>)> = Vec::new();
+    for (at, text) in &table.lines {
+        let reason = || format!("line {at}: write `east north height pixel_x pixel_y photograph name`");
+        let line = parse(text).ok_or_else(|| GeoError::Refused { path: path.into(), reason: reason() })?;
+        match points.iter_mut().find(|(name, lines)| *name == line.name && is_same(&lines[0], &line)) {
+            Some((_, lines)) => lines.push(line),
+            None => points.push((line.name.clone(), vec![line])),
+        }
+    }
+    let points = points.into_iter().enumerate();
+    points
+        .map(|(i, (name, lines))| {
+            let [x, y, _] = lines[0].at;
+            let height_m = lines.iter().map(|line| line.at[2]).sum::<f64>() / lines.len() as f64;
+            let place = table.crs.place(x, y, height_m);
+            let place =
+                place.map_err(|error| GeoError::Refused { path: path.into(), reason: error.to_string() })?;
+            let name = name.unwrap_or_else(|| (i + 1).to_string());
+            Ok(ControlPoint { name, place, marks: lines.into_iter().map(|line| line.mark).collect() })
+        })
+        .collect()
+}
+
+/// Whether two lines with equal names, or without names, are of one point.
+fn is_same(a: &Line, b: &Line) -> bool {
+    a.name.is_some() || (a.at[0] - b.at[0]).abs() <= SAME && (a.at[1] - b.at[1]).abs() <= SAME
+}
+
+fn parse(text: &str) -> Option<Line> {
+    let words: Vec<&str> = text.split_whitespace().collect();
+    let [east, north, height, x, y, photograph, rest @ ..] = &words[..] else { return None };
+    let at = [number(east)?, number(north)?, number(height)?];
+    let mark = Mark { photograph: (*photograph).to_owned(), at_px: DVec2::new(number(x)?, number(y)?) };
+    Some(Line { at, mark, name: rest.first().map(|name| (*name).to_owned()) })
+}
+
+#[cfg(test)]
+mod tests {
+    #![allow(clippy::unwrap_used)]
+    use super::*;
+
+    fn read(text: &str) -> Result<Vec<ControlPoint>, GeoError> {
+        let folder = tempfile::tempdir().unwrap();
+        let path = folder.path().join("gcp_list.txt");
+        std::fs::write(&path, text).unwrap();
+        read_gcp_list(&path)
+    }
+
+    #[test]
+    fn marks_are_gathered_into_points() {
+        let text = "EPSG:2180\n332289.0623 573431.0595 70 1 2 a.jpg\n332289.0623 573431.0595 71 3 4 b.jpg\n\
+                    332300 573431 70 5 6 a.jpg\n332300 573431 70 7 8 a.jpg gate\n";
+        let points = read(text).unwrap();
+        let names: Vec<_> = points.iter().map(|point| (&*point.name, point.marks.len())).collect();
+        assert_eq!(names, [("1", 2), ("2", 1), ("gate", 1)]);
+        let place = points[0].place;
+        assert!(
+            (place.latitude_deg - 53.0).abs() < 1e-7 && (place.longitude_deg - 16.5).abs() < 1e-7,
+            "{place:?}"
+        );
+        assert_eq!(place.height_m, 70.5);
+        assert_eq!(points[0].marks[1], Mark { photograph: "b.jpg".into(), at_px: DVec2::new(3.0, 4.0) });
+    }
+
+    #[test]
+    fn wrong_lines_are_named() {
+        for text in
+            ["EPSG:2180\n1 2 3 4 5\n", "EPSG:2180\n1 2 x 4 5 a.jpg\n", "EPSG:2180\n1 2 3 inf 5 a.jpg\n"]
+        {
+            let error = read(text).unwrap_err().to_string();
+            assert!(error.contains("gcp_list.txt: line 2: write"), "{error}");
+        }
+        assert!(read("here\n").unwrap_err().to_string().contains("coordinate system"));
+    }
+}
