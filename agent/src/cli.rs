@@ -5,6 +5,7 @@ mod arguments;
 mod devices;
 mod eval;
 mod host;
+mod ingest;
 mod key;
 mod paths;
 mod progress;
@@ -17,8 +18,8 @@ use anyhow::Result;
 use clap::{Parser, Subcommand};
 use cosurf_contract::{LogFormat, log};
 
-/// Train a Gaussian-splat surface model from drone pictures with known poses, within a memory limit, on this computer's
-/// CPU or GPU.
+/// Train a Gaussian-splat surface model from drone pictures, within a memory limit, on this computer's CPU or GPU. `ingest`
+/// finds the pictures' poses first.
 #[derive(Debug, Parser)]
 #[command(version, propagate_version = true)]
 pub(crate) struct Cli {
@@ -35,6 +36,7 @@ pub(crate) struct Cli {
 
 #[derive(Debug, Subcommand)]
 enum Command {
+    Ingest(ingest::IngestArgs),
     Train(train::TrainArgs),
     Eval(eval::EvalArgs),
     Render(render::RenderArgs),
@@ -53,6 +55,7 @@ pub(crate) fn run(cli: Cli) -> Result<()> {
         stop::listen()?;
     }
     match cli.command {
+        Command::Ingest(args) => ingest::run(&args),
         Command::Train(args) => train::run(&args),
         Command::Eval(args) => eval::run(&args),
         Command::Render(args) => render::run(&args),

@@ -4,6 +4,7 @@
 //! What it is:
 //! - [`session`]: training within a memory limit. A training that is killed and resumed gives the same bits as one that
 //!   runs without a stop ([`checkpoint`]).
+//! - [`ingest`]: photographs to pictures with poses, by COLMAP, in their place on the earth.
 //! - [`cell`]: the pictures of the agent's cell of the site's plan.
 //! - [`evaluate`]: scores of a model on held-out pictures.
 //! - [`pictures`]: renderings of a model as files.
@@ -50,6 +51,7 @@ pub mod changes;
 pub mod checkpoint;
 pub mod evaluate;
 pub mod flights;
+pub mod ingest;
 pub mod outputs;
 pub mod pictures;
 pub mod publish;

@@ -5,7 +5,7 @@ use std::io::{IsTerminal, Write};
 use std::time::{Duration, Instant};
 
 use cosurf_agent::status::StatusBoard;
-use cosurf_contract::{AgentEvent, ChosenBy, ComparedWith, Escaped, ReadyReport, counted};
+use cosurf_contract::{AgentEvent, ChosenBy, ComparedWith, Escaped, IngestStage, ReadyReport, counted};
 use cosurf_engine::train::StepOutcome;
 use indicatif::{ProgressBar, ProgressStyle};
 
@@ -95,6 +95,19 @@ impl Progress {
         (steps_per_s, (steps - step) as f32 / steps_per_s.max(1e-6))
     }
 
+    /// Records how far the making of a dataset is. Shows it as [`Self::step`] does: if an update is due, and at the begin
+    /// and the end of a stage.
+    pub(super) fn ingesting(&mut self, event: &AgentEvent) {
+        if let AgentEvent::Ingesting { done, of, .. } = event {
+            let every = if matches!(self.style, Style::Lines) { LINE_EVERY } else { BAR_EVERY };
+            if self.last.elapsed() < every && 0 < *done && done < of {
+                return;
+            }
+            self.last = Instant::now();
+        }
+        self.show(event);
+    }
+
     /// Records that step `step` of `steps` of training the base is done. (The base is the small model that is uploaded
     /// first.) Shows the progress if [`LINE_EVERY`] has passed.
     pub(super) fn preparing(&mut self, step: u32, steps: u32) {
@@ -143,6 +156,11 @@ fn show_bar(bar: &ProgressBar, event: &AgentEvent) {
             ));
         }
         AgentEvent::Trained { .. } => bar.finish(),
+        AgentEvent::Ingesting { done, of, .. } if done < of => {
+            bar.set_length(*of as u64);
+            bar.set_position(*done as u64);
+            bar.set_message(describe(event).unwrap_or_default());
+        }
         _ => {
             if let Some(line) = describe(event) {
                 bar.println(Escaped(line).to_string());
@@ -166,6 +184,23 @@ fn describe(event: &AgentEvent) -> Option<String> {
             };
             if *resumed { format!("{choice}, as the training was begun") } else { choice }
         }
+        AgentEvent::Ingesting { stage, done, of, seconds_left, resumed } => {
+            let stage = match stage {
+                IngestStage::Reading => "photographs read",
+                IngestStage::Features => "features",
+                IngestStage::Matches => "matches",
+                IngestStage::Poses => "poses",
+                IngestStage::Undistorting => "undistorted",
+            };
+            let left = match seconds_left {
+                _ if *resumed => ", by an earlier run".to_owned(),
+                Some(left) if done < of => format!(", {left:.0} s left"),
+                _ => String::new(),
+            };
+            format!("{stage}: {done}/{of}{left}")
+        }
+        AgentEvent::LeftOut { name, reason } => format!("left out: {name} {reason}"),
+        AgentEvent::Ingested { .. } => return None,
         AgentEvent::Ready { report } => {
             let ReadyReport { views, held_out, splats, size_px: [width, height], device, given_up } = report;
             let views = counted(*views as u64, "training view");

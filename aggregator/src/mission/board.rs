@@ -86,6 +86,9 @@ impl Status {
             | AgentEvent::Ready { .. }
             | AgentEvent::DeviceLost { .. }
             | AgentEvent::Preparing { .. }
+            | AgentEvent::Ingesting { .. }
+            | AgentEvent::LeftOut { .. }
+            | AgentEvent::Ingested { .. }
             | AgentEvent::Compared { .. }
             | AgentEvent::Compressed { .. } => {}
             AgentEvent::Trained { report } => {

@@ -59,7 +59,9 @@ pub use config::{
 pub use cosurf_link::TlsFiles;
 pub use log::{LogError, LogFormat};
 pub use password::{PasswordError, read_password};
-pub use report::{AgentEvent, Changes, ChosenBy, ComparedWith, ReadyReport, TrainReport};
+pub use report::{
+    AgentEvent, Changes, ChosenBy, ComparedWith, IngestReport, IngestStage, ReadyReport, TrainReport,
+};
 pub use share::{NotAShare, Share};
 pub use status::{AgentPhase, AgentStatus};
 pub use words::{Escaped, counted};

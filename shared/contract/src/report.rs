@@ -23,6 +23,33 @@ pub enum AgentEvent {
         #[serde(default, skip_serializing_if = "std::ops::Not::not")]
         resumed: bool,
     },
+    /// Progress of making a dataset from photographs.
+    Ingesting {
+        /// What is being done.
+        stage: IngestStage,
+        /// Number of photographs, or parts of the work, that are done.
+        done: usize,
+        /// Number of all of them.
+        of: usize,
+        /// Estimated time until the end of this stage, seconds; `None` if not known.
+        #[serde(default, skip_serializing_if = "Option::is_none")]
+        seconds_left: Option<f32>,
+        /// Whether an earlier run has done this stage.
+        #[serde(default, skip_serializing_if = "std::ops::Not::not")]
+        resumed: bool,
+    },
+    /// A photograph, a control point or a part of the flight is left out of the dataset.
+    LeftOut {
+        /// Its name.
+        name: String,
+        /// Why, and what to do about it, one line.
+        reason: String,
+    },
+    /// A dataset was made from photographs and is on disk.
+    Ingested {
+        /// The figures.
+        report: IngestReport,
+    },
     /// All that a flight needs is there; `preflight` ends with it.
     Ready {
         /// What the training would begin with.
@@ -251,6 +278,35 @@ pub struct TrainReport {
     pub size_px: [u32; 2],
     /// The reductions that the memory limit forced, one line of text each; empty if there were none.
     pub given_up: Vec<String>,
+}
+
+/// A stage of making a dataset from photographs.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
+#[serde(rename_all = "snake_case")]
+pub enum IngestStage {
+    /// Reads the photographs and their GPS.
+    Reading,
+    /// Finds features in each photograph.
+    Features,
+    /// Finds the same features in pairs of photographs.
+    Matches,
+    /// Finds where each photograph was taken.
+    Poses,
+    /// Removes the distortion of the lens.
+    Undistorting,
+}
+
+/// Figures of making a dataset from photographs.
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
+pub struct IngestReport {
+    /// Number of photographs in the folder.
+    pub photographs: usize,
+    /// Number of photographs in the dataset.
+    pub posed: usize,
+    /// Number of points of the sparse cloud.
+    pub points: usize,
+    /// Whether the dataset lies where it is on the earth; otherwise its scale and its place are unknown.
+    pub georeferenced: bool,
 }
 
 #[cfg(test)]

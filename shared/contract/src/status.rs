@@ -117,6 +117,9 @@ impl AgentStatus {
             AgentEvent::DeviceLost { .. }
             | AgentEvent::CheckpointSetAside { .. }
             | AgentEvent::Ready { .. }
+            | AgentEvent::Ingesting { .. }
+            | AgentEvent::LeftOut { .. }
+            | AgentEvent::Ingested { .. }
             | AgentEvent::Retrying { .. }
             | AgentEvent::GlobalRefused { .. }
             | AgentEvent::Compared { .. } => {}

@@ -33,6 +33,11 @@ impl Picture {
         Ok(PictureHeader::read(path)?.size_px)
     }
 
+    /// As [`Self::size_of`], with an error if the file was cut short. The pixels are not decoded.
+    pub fn size_of_whole(path: &Path) -> Result<[u32; 2], SceneError> {
+        files::size_of_whole(path)
+    }
+
     /// Upper bound on the bytes that [`Self::read_fitted`] allocates besides the picture that it
     /// returns. Computed from the file's header.
     pub fn scratch_bytes(path: &Path, size_px: [u32; 2]) -> Result<u64, SceneError> {

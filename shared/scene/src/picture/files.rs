@@ -18,8 +18,7 @@ pub(super) fn read(path: &Path) -> Result<Picture, SceneError> {
     let open = || File::open(path).map(BufReader::new).map_err(|cause| SceneError::io(path, cause));
     if header.format == ImageFormat::Jpeg && !has_end(open()?, header.data_offset).unwrap_or(false) {
         // Without this check, the decoder would fill the missing pixels with grey.
-        let reason = "ends before its last pixel; it was cut short, fetch the picture again or leave it out";
-        return Err(SceneError::malformed(path, reason));
+        return Err(cut_short(path));
     }
     let mut reader = ImageReader::with_format(open()?, header.format);
     let mut limits = Limits::no_limits();
@@ -31,6 +30,30 @@ pub(super) fn read(path: &Path) -> Result<Picture, SceneError> {
         SceneError::malformed(path, reason)
     })?;
     Ok(Picture::new([image.width(), image.height()], rgb_over_black(image)))
+}
+
+fn cut_short(path: &Path) -> SceneError {
+    let reason = "ends before its last pixel; it was cut short, fetch the picture again or leave it out";
+    SceneError::malformed(path, reason)
+}
+
+/// Width and height; an error if the end of the file is missing. The pixels are not decoded.
+pub(super) fn size_of_whole(path: &Path) -> Result<[u32; 2], SceneError> {
+    let header = PictureHeader::read(path)?;
+    let file = File::open(path).map(BufReader::new).map_err(|cause| SceneError::io(path, cause))?;
+    let is_whole = match header.format {
+        ImageFormat::Jpeg => has_end(file, header.data_offset),
+        _ => has_png_end(file),
+    };
+    if is_whole.unwrap_or(false) { Ok(header.size_px) } else { Err(cut_short(path)) }
+}
+
+/// Whether a PNG ends with its last chunk: the name IEND and a checksum.
+fn has_png_end(mut input: impl BufRead + Seek) -> io::Result<bool> {
+    input.seek(SeekFrom::End(-8))?;
+    let mut name = [0; 4];
+    input.read_exact(&mut name)?;
+    Ok(name == *b"IEND")
 }
 
 /// Whether a JPEG has an end marker somewhere after `offset`, bytes from the start of the file.

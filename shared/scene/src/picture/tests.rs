@@ -171,3 +171,18 @@ fn a_flipped_byte_never_panics() {
         }
     }
 }
+
+#[test]
+fn files_that_were_cut_short_are_found_without_decoding_them() {
+    let picture = Picture::new([40, 30], (0..40 * 30 * 3).map(|i| (i % 251) as u8).collect());
+    let folder = tempfile::tempdir().unwrap();
+    let path = folder.path().join("a.jpg");
+    for file in [jpeg(&picture), png(&picture.rgb, [40, 30], ExtendedColorType::Rgb8)] {
+        fs::write(&path, &file).unwrap();
+        assert_eq!(Picture::size_of_whole(&path).unwrap(), [40, 30]);
+        fs::write(&path, &file[..file.len() - 100]).unwrap();
+        assert!(Picture::size_of(&path).is_ok());
+        let error = Picture::size_of_whole(&path).unwrap_err().to_string();
+        assert!(error.contains("cut short"), "{error}");
+    }
+}

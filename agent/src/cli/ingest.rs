@@ -1,0 +1,142 @@
+//! `ingest`: makes a dataset of photographs.
+
+use std::io::{self, Write};
+use std::path::PathBuf;
+
+use anyhow::Result;
+use clap::Args;
+use cosurf_agent::ingest::{IngestPlan, Ingested, ingest};
+use cosurf_contract::counted;
+use cosurf_geo::{Geodetic, Georeference, PointResidual};
+
+use super::progress::Progress;
+
+/// Make a dataset for `train` of drone photographs: find their poses with COLMAP, undistort them, and put them in their
+/// place on the earth by their GPS.
+///
+/// Writes DATA/images, DATA/sparse/0 (x east, y north, z up, metres about the site's origin) and DATA/geo.json. Reads EXIF,
+/// and `geo.txt` and `gcp_list.txt` in the formats of ODM if they lie beside the photographs. Without GPS and control points,
+/// scale and place stay unknown, and there is no geo.json. To resume after a stop or a kill, run the same command again.
+/// COLMAP's work lies in DATA/.ingest, which may be deleted afterwards.
+#[derive(Args, Debug)]
+pub(super) struct IngestArgs {
+    /// The folder of the photographs, JPEG or PNG, or one that has them in `images`
+    photos: PathBuf,
+    /// The folder to write the dataset to
+    #[arg(long, value_name = "DATA")]
+    out: PathBuf,
+    /// Origin of the site, latitude and longitude in degrees and height in metres. Give the same to all drones of a site
+    /// [default: the median of the photographs, rounded to 0.0001 degrees and whole metres]
+    #[arg(long, value_name = "LAT,LON,HEIGHT", value_parser = parse_origin, allow_hyphen_values = true)]
+    origin: Option<Geodetic>,
+    /// Shrink pictures until their long side is at most this many pixels
+    #[arg(long, value_name = "PX", default_value_t = 1920, value_parser = clap::value_parser!(u32).range(16..))]
+    max_size: u32,
+    /// The program of COLMAP, 3.6 or newer
+    #[arg(long, value_name = "PROGRAM", default_value = "colmap")]
+    colmap: PathBuf,
+    /// Print JSON instead of text
+    #[arg(long)]
+    json: bool,
+}
+
+fn parse_origin(text: &str) -> Result<Geodetic, String> {
+    let numbers: Option<Vec<f64>> = text.split(',').map(|number| number.trim().parse().ok()).collect();
+    let Some(&[latitude_deg, longitude_deg, height_m]) = numbers.as_deref() else {
+        return Err("give three numbers, for example 30.1712,-98.0897,300".into());
+    };
+    let origin = Geodetic { latitude_deg, longitude_deg, height_m };
+    origin.check().map(|()| origin).map_err(|error| error.to_string())
+}
+
+pub(super) fn run(args: &IngestArgs) -> Result<()> {
+    let plan = IngestPlan {
+        photographs: args.photos.clone(),
+        out: args.out.clone(),
+        colmap: args.colmap.clone(),
+        origin: args.origin,
+        max_size_px: args.max_size,
+    };
+    let mut progress = Progress::new(args.json);
+    let ingested = ingest(&plan, &mut |event| progress.ingesting(&event))?;
+    if args.json { Ok(()) } else { print(&ingested, args) }
+}
+
+fn print(ingested: &Ingested, args: &IngestArgs) -> Result<()> {
+    let mut stdout = io::stdout().lock();
+    let report = &ingested.report;
+    let points = counted(report.points as u64, "point");
+    writeln!(stdout, "{} of {} photographs, {points}", report.posed, report.photographs)?;
+    match &ingested.georeference {
+        Some(georeference) => print_place(&mut stdout, georeference)?,
+        None => writeln!(
+            stdout,
+            "scale and place are unknown, only z is up: the photographs have no GPS; give geo.txt or gcp_list.txt beside them"
+        )?,
+    }
+    writeln!(stdout, "{}", args.out.display())?;
+    Ok(())
+}
+
+fn print_place(out: &mut impl Write, its: &Georeference) -> io::Result<()> {
+    let Geodetic { latitude_deg, longitude_deg, height_m } = its.origin;
+    writeln!(out, "origin {latitude_deg},{longitude_deg},{height_m}, maps in EPSG:{}", its.epsg)?;
+    if let Some(gps) = &its.gps {
+        writeln!(
+            out,
+            "GPS of {} of {} agrees with the poses, to {:.2} m horizontally and {:.2} m vertically",
+            gps.agreeing, gps.photographs, gps.horizontal_rms_m, gps.vertical_rms_m
+        )?;
+    }
+    if let Some(known) = &its.uncertainty {
+        writeln!(
+            out,
+            "known to {:.1}° of tilt, {:.1}° of heading, {:.1} % of length, {:.2} m horizontally, {:.2} m vertically",
+            known.tilt_deg,
+            known.heading_deg,
+            100.0 * known.scale_share,
+            known.horizontal_m,
+            known.vertical_m
+        )?;
+    }
+    for (noun, points) in [("control point", &its.control), ("check point", &its.check)] {
+        if !points.is_empty() {
+            let [east, north, up] = rms(points);
+            let count = counted(points.len() as u64, noun);
+            writeln!(
+                out,
+                "{count}: off by {east:.3} m east, {north:.3} m north, {up:.3} m up (root mean square)"
+            )?;
+        }
+    }
+    Ok(())
+}
+
+/// Root mean square of the residuals along each axis, metres.
+fn rms(points: &[PointResidual]) -> [f64; 3] {
+    [0, 1, 2].map(|axis| {
+        let squares = points.iter().map(|point| point.residual_m[axis].powi(2));
+        (squares.sum::<f64>() / points.len() as f64).sqrt()
+    })
+}
+
+#[cfg(test)]
+mod tests {
+    #![allow(clippy::unwrap_used)]
+    use super::*;
+
+    #[test]
+    fn origins_are_three_numbers_of_a_place() {
+        let origin = parse_origin("30.1712,-98.0897, 300").unwrap();
+        assert_eq!((origin.latitude_deg, origin.longitude_deg, origin.height_m), (30.1712, -98.0897, 300.0));
+        for (wrong, told) in [
+            ("30,98", "three numbers"),
+            ("a,b,c", "three numbers"),
+            ("98,30,0", "no place"),
+            ("nan,0,0", "no place"),
+        ] {
+            let error = parse_origin(wrong).unwrap_err();
+            assert!(error.contains(told), "{wrong}: {error}");
+        }
+    }
+}

@@ -1,0 +1,191 @@
+//! Control points: where the photographs show them.
+
+use std::collections::HashMap;
+
+use cosurf_geo::{ControlPoint, Sighting, SiteFrame};
+use glam::{DMat3, DVec3};
+
+use super::reconstruction::{Posed, Reconstruction};
+
+/// Lines of sight closer than this to each other leave the distance open, degrees.
+const ANGLE_MIN_DEG: f64 = 2.0;
+/// A mark so many pixels off has a quarter of its weight.
+const QUARTER_AT_PX: f64 = 5.0;
+/// Rounds of weights.
+const ROUNDS: usize = 20;
+/// Standard deviation of a point that was measured and marked with care, metres: RTK has 2 to 3 cm, a pixel as much.
+const SIGMA_M: f64 = 0.05;
+/// With so many points, every third is held out.
+const HOLD_OUT_FROM: usize = 6;
+
+/// A control point that enough photographs show.
+#[derive(Clone, Debug, PartialEq)]
+pub(super) struct SeenPoint {
+    pub(super) name: String,
+    /// Number of photographs that show it.
+    pub(super) photographs: usize,
+    pub(super) sighting: Sighting,
+}
+
+/// Control points by their use.
+#[derive(Debug, Default)]
+pub(super) struct SeenPoints {
+    /// To fit.
+    pub(super) control: Vec<SeenPoint>,
+    /// To judge the fit.
+    pub(super) check: Vec<SeenPoint>,
+    /// Names and reasons of those that are left out.
+    pub(super) left_out: Vec<(String, String)>,
+}
+
+/// Finds where the reconstruction has the points.
+pub(super) fn seen(points: &[ControlPoint], its: &Reconstruction, site: &SiteFrame) -> SeenPoints {
+    let by_name: HashMap<String, &Posed> =
+        its.posed.iter().map(|posed| (file_name(&posed.name), posed)).collect();
+    let mut all = Vec::new();
+    let mut seen = SeenPoints::default();
+    for point in points {
+        let marks = point.marks.iter().filter_map(|mark| {
+            let posed = by_name.get(&file_name(&mark.photograph))?;
+            its.sight(posed, mark.at_px)
+        });
+        let sights: Vec<Sight> = marks.map(|(eye, ray, focal_px)| Sight { eye, ray, focal_px }).collect();
+        match triangulate(&sights) {
+            Some(model) => {
+                let enu_m = site.enu_from_geodetic(&point.place);
+                let sighting = Sighting { model, enu_m, has_height: true, sigma_m: SIGMA_M };
+                all.push(SeenPoint { name: point.name.clone(), photographs: sights.len(), sighting });
+            }
+            None => {
+                let reason = format!(
+                    "{} of the {} photographs that show it are in the dataset; a control point takes two from different places",
+                    sights.len(),
+                    point.marks.len()
+                );
+                seen.left_out.push((format!("control point {}", point.name), reason));
+            }
+        }
+    }
+    let holds_out = all.len() >= HOLD_OUT_FROM;
+    for (i, point) in all.into_iter().enumerate() {
+        if holds_out && i % 3 == 2 { seen.check.push(point) } else { seen.control.push(point) }
+    }
+    seen
+}
+
+/// Lists name files without folders, and often in other letters.
+fn file_name(name: &str) -> String {
+    name.rsplit(['/', '\\']).next().unwrap_or(name).to_lowercase()
+}
+
+/// A line of sight.
+#[derive(Clone, Copy)]
+struct Sight {
+    eye: DVec3,
+    /// Unit length.
+    ray: DVec3,
+    focal_px: f64,
+}
+
+impl Sight {
+    /// How far a point is from the line: seen from the eye, pixels.
+    fn off_px(&self, point: DVec3) -> f64 {
+        let to = point - self.eye;
+        self.focal_px * to.cross(self.ray).length() / to.dot(self.ray).max(1e-12)
+    }
+}
+
+/// The point that all lines of sight pass closest to, in pixels. `None` if their angles are too small, or it lies behind a
+/// camera.
+fn triangulate(sights: &[Sight]) -> Option<DVec3> {
+    let pairs = || sights.iter().enumerate().flat_map(|(i, a)| sights[..i].iter().map(move |b| (a, b)));
+    let widest = pairs().map(|(a, b)| a.ray.angle_between(b.ray)).fold(0.0, f64::max);
+    if widest < ANGLE_MIN_DEG.to_radians() {
+        return None;
+    }
+    let mut weights = vec![1.0; sights.len()];
+    let mut point = DVec3::ZERO;
+    for _ in 0..ROUNDS {
+        let (mut matrix, mut right) = (DMat3::ZERO, DVec3::ZERO);
+        for (Sight { eye, ray, .. }, weight) in sights.iter().zip(&weights) {
+            // Takes away what lies along the line.
+            let across = DMat3::IDENTITY - DMat3::from_cols(*ray * ray.x, *ray * ray.y, *ray * ray.z);
+            matrix += across * *weight;
+            right += across * *eye * *weight;
+        }
+        point = matrix.inverse() * right;
+        for (sight, weight) in sights.iter().zip(&mut weights) {
+            let pixel = sight.eye.distance(point) / sight.focal_px;
+            *weight = (1.0 + (sight.off_px(point) / QUARTER_AT_PX).powi(2)).powi(-2) / (pixel * pixel);
+        }
+    }
+    (point.is_finite() && sights.iter().all(|sight| (point - sight.eye).dot(sight.ray) > 0.0))
+        .then_some(point)
+}
+
+#[cfg(test)]
+mod tests {
+    #![allow(clippy::unwrap_used)]
+    use cosurf_geo::{Geodetic, Mark};
+    use glam::DVec2;
+
+    use super::*;
+
+    /// Photographs along a line, 10 above the ground.
+    fn reconstruction(count: usize) -> Reconstruction {
+        let folder = tempfile::tempdir().unwrap();
+        let write = |name: &str, text: String| std::fs::write(folder.path().join(name), text).unwrap();
+        write("cameras.txt", "1 OPENCV 640 480 500 500 320 240 0 0 0 0\n".into());
+        // A half turn about x looks down: the translation of the camera at (i, 0, 10) is (-i, 0, 10).
+        let line = |i: usize| format!("{i} 0 1 0 0 -{i} 0 10 1 IMG_{i}.JPG\n\n");
+        write("images.txt", (0..count).map(line).collect());
+        Reconstruction::read(folder.path()).unwrap()
+    }
+
+    fn point(name: &str, at: DVec3, photographs: &[usize], off_px: f64) -> ControlPoint {
+        let mark = |&i: &usize| Mark {
+            photograph: format!("img_{i}.jpg"),
+            at_px: DVec2::new(
+                320.0 + 500.0 * (at.x - i as f64) / (10.0 - at.z) + off_px,
+                240.0 - 500.0 * at.y / (10.0 - at.z),
+            ),
+        };
+        let place = Geodetic { latitude_deg: 53.0, longitude_deg: 16.0, height_m: 70.0 };
+        ControlPoint { name: name.into(), place, marks: photographs.iter().map(mark).collect() }
+    }
+
+    fn site() -> SiteFrame {
+        SiteFrame::new(Geodetic { latitude_deg: 53.0, longitude_deg: 16.0, height_m: 0.0 }).unwrap()
+    }
+
+    #[test]
+    fn points_are_found_where_their_marks_meet() {
+        let at = DVec3::new(2.0, 1.0, 0.5);
+        let mut with_bad_mark = point("b", at, &[0, 1, 2, 3, 4], 0.0);
+        with_bad_mark.marks[2].at_px.x += 80.0;
+        let points = [point("a", at, &[0, 3, 9], 0.0), with_bad_mark];
+        let seen = seen(&points, &reconstruction(6), &site());
+        assert_eq!([seen.control[0].photographs, seen.control[1].photographs], [2, 5]);
+        assert!(seen.control[0].sighting.model.distance(at) < 1e-9, "{:?}", seen.control[0]);
+        assert!(seen.control[1].sighting.model.distance(at) < 0.02, "{:?}", seen.control[1]);
+        assert!((seen.control[0].sighting.enu_m - DVec3::new(0.0, 0.0, 70.0)).length() < 1e-6);
+    }
+
+    #[test]
+    fn points_that_one_photograph_shows_are_left_out_with_a_reason() {
+        let points = [point("a", DVec3::ZERO, &[1, 7, 8], 0.0), point("b", DVec3::ZERO, &[7], 0.0)];
+        let seen = seen(&points, &reconstruction(3), &site());
+        assert!(seen.control.is_empty());
+        assert_eq!(seen.left_out[0].0, "control point a");
+        assert!(seen.left_out[0].1.starts_with("1 of the 3 photographs"), "{:?}", seen.left_out);
+    }
+
+    #[test]
+    fn every_third_of_six_points_is_held_out() {
+        let names = ["a", "b", "c", "d", "e", "f"];
+        let points = names.map(|name| point(name, DVec3::X, &[0, 1, 2], 0.0));
+        let seen = seen(&points, &reconstruction(3), &site());
+        let check: Vec<&str> = seen.check.iter().map(|point| &*point.name).collect();
+        assert_eq!((check, seen.control.len()), (vec!["c", "f"], 4));
+    }
+}

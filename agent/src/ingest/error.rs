@@ -1,0 +1,73 @@
+//! Why no dataset can be made of photographs.
+
+use std::io;
+use std::path::PathBuf;
+
+use cosurf_geo::GeoError;
+use cosurf_scene::SceneError;
+
+/// Why no dataset can be made. Each is one line, with the remedy.
+#[derive(Debug, thiserror::Error)]
+#[non_exhaustive]
+pub enum IngestError {
+    /// A folder holds too few photographs.
+    #[error("{}: has {found} usable photographs, JPEG or PNG; a dataset takes at least 3 that overlap", folder.display())]
+    TooFew {
+        /// The folder.
+        folder: PathBuf,
+        /// Number of usable photographs.
+        found: usize,
+    },
+    /// The folder to write to holds what is not ours.
+    #[error("{}: holds something that `ingest` did not write; name another folder with --out", folder.display())]
+    Occupied {
+        /// The folder.
+        folder: PathBuf,
+    },
+    /// COLMAP is not there.
+    #[error(
+        "{}: COLMAP cannot be started ({cause}); install it (on Debian and Ubuntu `apt-get install colmap`), or name it with --colmap",
+        program.display()
+    )]
+    NoColmap {
+        /// The program.
+        program: PathBuf,
+        /// The error of the system.
+        cause: io::Error,
+    },
+    /// A program is not COLMAP.
+    #[error("{}: is not COLMAP 3.6 or newer; name another program with --colmap", program.display())]
+    NotColmap {
+        /// The program.
+        program: PathBuf,
+    },
+    /// COLMAP failed.
+    #[error("COLMAP's {command} failed: {reason}; {} has its output", log.display())]
+    Failed {
+        /// The command of COLMAP.
+        command: String,
+        /// Its last line about an error.
+        reason: String,
+        /// What it printed.
+        log: PathBuf,
+    },
+    /// COLMAP found no poses.
+    #[error(
+        "COLMAP found the places of {posed} of {photographs} photographs, fewer than 3; they overlap too little, are blurred or show different things; {} has its output",
+        log.display()
+    )]
+    NoPoses {
+        /// Number of photographs with a pose.
+        posed: usize,
+        /// Number of all photographs.
+        photographs: usize,
+        /// What COLMAP printed.
+        log: PathBuf,
+    },
+    /// A file cannot be read or written.
+    #[error(transparent)]
+    Scene(#[from] SceneError),
+    /// A place or a list of places cannot be used.
+    #[error(transparent)]
+    Geo(#[from] GeoError),
+}

@@ -1,0 +1,189 @@
+//! The photographs of a folder, and what their EXIF and the lists beside them tell.
+
+use std::collections::{BTreeMap, HashMap};
+use std::fs;
+use std::path::{Path, PathBuf};
+use std::time::UNIX_EPOCH;
+
+use cosurf_geo::{ControlPoint, Gps, PhotoInfo, read_gcp_list, read_geo_txt};
+use cosurf_scene::{Picture, SceneError};
+
+use super::error::IngestError;
+
+/// Most photographs of a dataset.
+const PHOTOGRAPHS_MAX: usize = 100_000;
+/// Depth of folders, as cameras make them (`DCIM/100MEDIA`).
+const DEPTH_MAX: usize = 4;
+/// Longest accepted name, bytes.
+const NAME_BYTES_MAX: usize = 1000;
+
+/// A usable photograph.
+#[derive(Clone, Debug, PartialEq)]
+pub(super) struct Photograph {
+    /// Path below the folder, with `/` between its parts.
+    pub(super) name: String,
+    /// The stored size, pixels.
+    pub(super) size_px: [u32; 2],
+    /// The camera, as EXIF names it.
+    pub(super) camera: String,
+    pub(super) gps: Option<Gps>,
+    /// Whether EXIF has the same place, so that COLMAP finds it too.
+    pub(super) has_exif_gps: bool,
+    /// Size and time of the file, which tell whether it is the same as in an earlier run.
+    pub(super) state: [u64; 2],
+}
+
+/// Usable photographs, in the order of their names.
+pub(super) struct Photographs {
+    /// The folder that their names begin at.
+    pub(super) folder: PathBuf,
+    pub(super) usable: Vec<Photograph>,
+    /// Names and reasons of those that are left out.
+    pub(super) left_out: Vec<(String, String)>,
+    pub(super) control: Vec<ControlPoint>,
+}
+
+impl Photographs {
+    /// Reads a folder, or its folder `images`, with `geo.txt` and `gcp_list.txt` beside the photographs or above that folder.
+    pub(super) fn read(root: &Path) -> Result<Self, IngestError> {
+        let below = root.join("images");
+        let folder = if below.is_dir() { below } else { root.to_owned() };
+        let mut names = Vec::new();
+        collect(&folder, "", DEPTH_MAX, &mut names)?;
+        names.sort_unstable();
+        let list = |name| [&folder, root].map(|at| at.join(name)).into_iter().find(|path| path.is_file());
+        let places: HashMap<String, Gps> = match list("geo.txt") {
+            Some(path) => read_geo_txt(&path)?.into_iter().map(|place| (place.name, place.gps)).collect(),
+            None => HashMap::new(),
+        };
+        let control = list("gcp_list.txt").map(|path| read_gcp_list(&path)).transpose()?.unwrap_or_default();
+        let mut all = Self { folder, usable: Vec::new(), left_out: Vec::new(), control };
+        for name in names {
+            match read(&all.folder, &name, &places) {
+                Ok(photograph) => all.usable.push(photograph),
+                Err(reason) => all.left_out.push((name, reason)),
+            }
+        }
+        if all.usable.len() < 3 {
+            return Err(IngestError::TooFew { folder: all.folder, found: all.usable.len() });
+        }
+        Ok(all)
+    }
+
+    /// Number of usable photographs with GPS.
+    pub(super) fn with_gps(&self) -> usize {
+        self.usable.iter().filter(|photograph| photograph.gps.is_some()).count()
+    }
+
+    /// The photographs of each lens: those of one camera, focal length and size.
+    pub(super) fn by_lens(&self) -> Vec<Vec<&Photograph>> {
+        let mut lenses: BTreeMap<_, Vec<&Photograph>> = BTreeMap::new();
+        for photograph in &self.usable {
+            lenses.entry((&photograph.camera, photograph.size_px)).or_default().push(photograph);
+        }
+        lenses.into_values().collect()
+    }
+}
+
+/// Adds the names of all pictures of a folder and of the folders below.
+fn collect(folder: &Path, prefix: &str, depth: usize, names: &mut Vec<String>) -> Result<(), IngestError> {
+    let failed = |cause| SceneError::io(folder, cause);
+    for entry in fs::read_dir(folder).map_err(failed)? {
+        let entry = entry.map_err(failed)?;
+        let name = entry.file_name();
+        let is_picture = Path::new(&name).extension().is_some_and(|extension| {
+            ["jpg", "jpeg", "png"].iter().any(|known| extension.eq_ignore_ascii_case(known))
+        });
+        let name = format!("{prefix}{}", name.to_string_lossy());
+        let path = entry.path();
+        if path.is_dir() && depth > 0 && !entry.file_name().to_string_lossy().starts_with('.') {
+            collect(&path, &format!("{name}/"), depth - 1, names)?;
+        } else if is_picture && path.is_file() {
+            names.push(name);
+        }
+        if names.len() > PHOTOGRAPHS_MAX {
+            let reason = "has more than 100,000 photographs; give folders of single flights";
+            return Err(SceneError::malformed(folder, reason).into());
+        }
+    }
+    Ok(())
+}
+
+/// A photograph; the reason in words if it cannot be used.
+fn read(folder: &Path, name: &str, places: &HashMap<String, Gps>) -> Result<Photograph, String> {
+    // COLMAP reads names from lists with a line for each.
+    if name.contains(|c: char| c.is_control() || c == char::REPLACEMENT_CHARACTER)
+        || name.len() > NAME_BYTES_MAX
+    {
+        return Err("has a name that COLMAP cannot read; rename it".into());
+    }
+    let path = folder.join(name);
+    let size_px = Picture::size_of_whole(&path).map_err(|error| reason(&error))?;
+    let info = PhotoInfo::read(&path).map_err(|error| error.to_string())?;
+    let file = fs::metadata(&path).map_err(|error| error.to_string())?;
+    let time = file.modified().ok().and_then(|time| time.duration_since(UNIX_EPOCH).ok());
+    let state = [file.len(), time.map_or(0, |time| time.as_nanos() as u64)];
+    let listed = places.get(name).or_else(|| places.get(name.rsplit('/').next().unwrap_or(name))).copied();
+    let has_exif_gps = info.gps.is_some() && listed.is_none();
+    Ok(Photograph {
+        name: name.to_owned(),
+        size_px,
+        camera: info.camera,
+        gps: listed.or(info.gps),
+        has_exif_gps,
+        state,
+    })
+}
+
+/// The reason of an error, without the path, which is told beside it.
+fn reason(error: &SceneError) -> String {
+    match error {
+        SceneError::Malformed { reason, .. } => reason.clone(),
+        other => other.to_string(),
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    #![allow(clippy::unwrap_used)]
+    use super::*;
+
+    fn photograph(path: &Path, size_px: [u32; 2]) {
+        fs::create_dir_all(path.parent().unwrap()).unwrap();
+        let bytes = size_px[0] * size_px[1] * 3;
+        let picture = Picture::new(size_px, (0..bytes).map(|i| (i % 199) as u8).collect());
+        picture.write_jpeg(path, 90).unwrap();
+    }
+
+    #[test]
+    fn names_of_all_kinds_are_found_and_bad_files_are_named() {
+        let folder = tempfile::tempdir().unwrap();
+        let at = |name: &str| folder.path().join(name);
+        for name in ["B.JPG", "a b ü.jpeg", "100MEDIA/B.JPG", ".hidden/c.jpg"] {
+            photograph(&at(name), [32, 24]);
+        }
+        photograph(&at("portrait.jpg"), [24, 32]);
+        fs::write(at("empty.jpg"), "").unwrap();
+        let whole = fs::read(at("B.JPG")).unwrap();
+        fs::write(at("short.JPG"), &whole[..whole.len() - 50]).unwrap();
+        fs::write(at("notes.txt"), "no picture").unwrap();
+        fs::write(at("geo.txt"), "EPSG:4326\nB.JPG 16.5 53.0 70\n").unwrap();
+        let found = Photographs::read(folder.path()).unwrap();
+        let names: Vec<&str> = found.usable.iter().map(|photograph| &*photograph.name).collect();
+        assert_eq!(names, ["100MEDIA/B.JPG", "B.JPG", "a b ü.jpeg", "portrait.jpg"]);
+        assert_eq!(found.with_gps(), 2, "geo.txt of ODM names files without folders");
+        assert_eq!(found.by_lens().iter().map(Vec::len).collect::<Vec<_>>(), [1, 3]);
+        let left_out: Vec<&str> = found.left_out.iter().map(|(name, _)| &**name).collect();
+        assert_eq!(left_out, ["empty.jpg", "short.JPG"]);
+        assert!(found.left_out[1].1.contains("cut short"), "{:?}", found.left_out);
+    }
+
+    #[test]
+    fn too_few_photographs_are_refused() {
+        let folder = tempfile::tempdir().unwrap();
+        photograph(&folder.path().join("images/a.jpg"), [32, 24]);
+        photograph(&folder.path().join("images/b.jpg"), [32, 24]);
+        let error = Photographs::read(folder.path()).err().unwrap().to_string();
+        assert!(error.contains("images: has 2 usable photographs"), "{error}");
+    }
+}

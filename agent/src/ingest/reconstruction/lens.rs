@@ -1,0 +1,87 @@
+//! Lenses with distortion: COLMAP's camera model `OPENCV`.
+
+use glam::{DMat2, DVec2};
+
+/// Rounds of Newton's method; a lens of a drone takes four.
+const ROUNDS: usize = 20;
+/// Largest error of a ray, on the plane at distance 1.
+const ERROR_MAX: f64 = 1e-9;
+
+/// A lens, as COLMAP's `src/colmap/sensor/models.h` and OpenCV define it.
+pub(super) struct Lens {
+    pub(super) focal_px: DVec2,
+    center_px: DVec2,
+    /// k1, k2, p1, p2.
+    distortion: [f64; 4],
+}
+
+impl Lens {
+    /// A line of `cameras.txt`: `id OPENCV width height fx fy cx cy k1 k2 p1 p2`. Returns the id, too.
+    pub(super) fn parse(line: &str) -> Option<(u32, Self)> {
+        let words: Vec<&str> = line.split_whitespace().collect();
+        let [id, "OPENCV", _, _, numbers @ ..] = &words[..] else { return None };
+        let numbers: Option<Vec<f64>> =
+            numbers.iter().map(|word| word.parse().ok().filter(|number: &f64| number.is_finite())).collect();
+        let [fx, fy, cx, cy, k1, k2, p1, p2]: [f64; 8] = numbers?.try_into().ok()?;
+        let its = Self {
+            focal_px: DVec2::new(fx, fy),
+            center_px: DVec2::new(cx, cy),
+            distortion: [k1, k2, p1, p2],
+        };
+        (fx > 0.0 && fy > 0.0).then_some((id.parse().ok()?, its))
+    }
+
+    /// The undistorted direction of a pixel, on the plane at distance 1; `None` if no direction leads there.
+    pub(super) fn ray(&self, at_px: DVec2) -> Option<DVec2> {
+        let wanted = (at_px - self.center_px) / self.focal_px;
+        let mut ray = wanted;
+        for _ in 0..ROUNDS {
+            let (is, slope) = self.distort(ray);
+            if (is - wanted).length() < ERROR_MAX {
+                return Some(ray);
+            }
+            ray -= slope.inverse() * (is - wanted);
+        }
+        None
+    }
+
+    /// The distorted position of a direction, and its derivative.
+    fn distort(&self, ray: DVec2) -> (DVec2, DMat2) {
+        let [k1, k2, p1, p2] = self.distortion;
+        let DVec2 { x, y } = ray;
+        let r2 = ray.length_squared();
+        let radial = 1.0 + k1 * r2 + k2 * r2 * r2;
+        let is = ray * radial
+            + DVec2::new(
+                2.0 * p1 * x * y + p2 * (r2 + 2.0 * x * x),
+                p1 * (r2 + 2.0 * y * y) + 2.0 * p2 * x * y,
+            );
+        let grows = 2.0 * k1 + 4.0 * k2 * r2; // derivative of `radial`, over the ray
+        let mixed = grows * x * y + 2.0 * p1 * x + 2.0 * p2 * y;
+        let along_x = radial + grows * x * x + 2.0 * p1 * y + 6.0 * p2 * x;
+        let along_y = radial + grows * y * y + 6.0 * p1 * y + 2.0 * p2 * x;
+        (is, DMat2::from_cols(DVec2::new(along_x, mixed), DVec2::new(mixed, along_y)))
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    #![allow(clippy::unwrap_used)]
+    use super::*;
+
+    #[test]
+    fn rays_are_those_that_the_lens_bends_to_the_pixel() {
+        let line = "1 OPENCV 1280 960 935 930 640 480 -0.12 0.05 0.001 -0.002";
+        let (id, lens) = Lens::parse(line).unwrap();
+        assert_eq!(id, 1);
+        for ray in [DVec2::ZERO, DVec2::new(0.6, -0.4), DVec2::new(-0.3, 0.5)] {
+            let at_px = lens.distort(ray).0 * lens.focal_px + lens.center_px;
+            assert!(lens.ray(at_px).unwrap().distance(ray) < 1e-8, "{ray}");
+        }
+        // By hand: 0.5 · (1 - 0.12 · 0.25 + 0.05 · 0.0625) + 3 · -0.002 · 0.25, and 0.001 · 0.25.
+        let bent = lens.distort(DVec2::new(0.5, 0.0)).0;
+        assert!(bent.distance(DVec2::new(0.485_062_5, 0.000_25)) < 1e-12, "{bent}");
+        assert!(Lens::parse("1 PINHOLE 1280 960 935 930 640 480").is_none());
+        assert!(Lens::parse("1 OPENCV 1280 960 935 930 640 480 nan 0 0 0").is_none());
+    }
+}
