@@ -173,3 +173,6 @@ fn tell_left_out(tell: &mut dyn FnMut(AgentEvent), left_out: &[(String, String)]
         tell(AgentEvent::LeftOut { name: name.clone(), reason: reason.clone() });
     }
 }
+
+#[cfg(all(test, unix))]
+mod tests;

@@ -9,6 +9,8 @@ use std::path::{Component, Path};
 use crate::sieve::Sieve;
 use crate::{Camera, Dataset, Picture, SceneError, View, camera_list, colmap, transforms};
 
+/// Entries of a folder that are looked at for pictures.
+const ENTRIES_MAX: usize = 1000;
 /// Reason in the error for a dataset without views.
 const NO_VIEWS: &str = "has no pictures with poses";
 
@@ -108,13 +110,32 @@ fn read_into(sieve: &mut Sieve, path: &Path) -> Result<Vec<View>, SceneError> {
     if list.is_file() {
         return camera_list::read_views(&list);
     }
-    let reason = match path.is_dir() {
-        true => {
-            "holds no dataset; give a folder with images/ and either sparse/0/cameras.bin (COLMAP) or transforms.json"
-        }
-        false => "there is no such folder",
+    Err(SceneError::malformed(path, no_dataset(path)))
+}
+
+/// Why a path is no dataset, and what to do about it.
+fn no_dataset(path: &Path) -> String {
+    if !path.is_dir() {
+        return "there is no such folder".into();
+    }
+    if has_pictures(path) || has_pictures(&path.join("images")) {
+        return format!(
+            "holds photographs without poses; run `cosurf-agent ingest {} --out DATA`, then give DATA",
+            path.display()
+        );
+    }
+    "holds no dataset; give a folder with images/ and either sparse/0/cameras.bin (COLMAP) or transforms.json"
+        .into()
+}
+
+/// Whether some of a folder's first entries are pictures by their names.
+fn has_pictures(folder: &Path) -> bool {
+    let entries = folder.read_dir().into_iter().flatten().take(ENTRIES_MAX).flatten();
+    let is_picture = |path: &Path| {
+        let ends = |known: &str| path.extension().is_some_and(|end| end.eq_ignore_ascii_case(known));
+        ["jpg", "jpeg", "png"].into_iter().any(ends)
     };
-    Err(SceneError::malformed(path, reason))
+    entries.map(|entry| entry.path()).any(|path| is_picture(&path))
 }
 
 /// Removes components such as `..` from a picture's name, so that a result file named after the

@@ -259,3 +259,16 @@ fn the_cameras_of_a_model_are_read_without_pictures() {
     fs::write(&list, "[]").unwrap();
     assert!(Dataset::posed(model.path()).is_err());
 }
+
+#[test]
+fn photographs_without_poses_are_told_what_comes_first() {
+    for at in ["DSC_1.JPG", "images/b.png"] {
+        let folder = tempfile::tempdir().unwrap();
+        fs::create_dir_all(folder.path().join("images")).unwrap();
+        let error = || Dataset::open(folder.path()).unwrap_err().to_string();
+        assert!(error().contains("holds no dataset"), "{}", error());
+        fs::write(folder.path().join(at), "pixels").unwrap();
+        let command = format!("`cosurf-agent ingest {} --out DATA`", folder.path().display());
+        assert!(error().contains(&command), "{}", error());
+    }
+}

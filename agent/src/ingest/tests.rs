@@ -1,0 +1,206 @@
+//! Whole runs with a program in place of COLMAP, which copies a reconstruction that the test has made.
+
+#![allow(clippy::unwrap_used)]
+
+use std::os::unix::fs::PermissionsExt;
+
+use cosurf_scene::{Camera, Picture, Pose, SparsePoint, View, colmap};
+use glam::{DQuat, DVec2};
+use tempfile::TempDir;
+
+use super::*;
+
+/// Metres for each unit of the reconstruction.
+const SCALE: f64 = 10.0;
+const ORIGIN: Geodetic = Geodetic { latitude_deg: 53.0, longitude_deg: 16.0, height_m: 60.0 };
+
+/// Stands in for COLMAP: notes its commands in `calls`, fails at the command that `fails` names.
+const SCRIPT: &str = r#"#!/bin/sh
+here=$(dirname "$0")
+case "$1 $2" in
+"help "*) echo "COLMAP 3.8 -- Structure-from-Motion"; echo "  image_undistorter"; exit 0;;
+*" --help") echo "  --database_path arg  --image_path arg --image_list_path arg --input_path arg --output_path arg"; exit 0;;
+esac
+command=$1; shift
+echo "$command" >> "$here/calls"
+if [ "$command" = "$(cat "$here/fails")" ]; then echo "ERROR: no luck"; echo "Elapsed time: 0"; exit 1; fi
+while [ $# -gt 0 ]; do
+  case "$1" in
+  --output_path) out=$2;;
+  esac
+  shift
+done
+case "$command" in
+feature_extractor) echo "Processed file [4/4]";;
+mapper) mkdir "$out/0"; cp "$here/undistorted/sparse/"* "$out/0";;
+model_converter) cp "$here/text/"* "$out";;
+image_undistorter) cp -r "$here/undistorted/." "$out";;
+esac
+"#;
+
+/// A flight of four photographs in a square of 100 m, 50 m above the ground, which look down, and its reconstruction: x
+/// is north, y is down, z is east.
+struct Flight {
+    folder: TempDir,
+}
+
+impl Flight {
+    fn new() -> Self {
+        let flight = Self { folder: tempfile::tempdir().unwrap() };
+        for folder in ["photos", "text", "undistorted/images", "undistorted/sparse"] {
+            fs::create_dir_all(flight.at(folder)).unwrap();
+        }
+        fs::write(flight.at("fails"), "").unwrap();
+        fs::write(flight.at("colmap"), SCRIPT).unwrap();
+        fs::set_permissions(flight.at("colmap"), fs::Permissions::from_mode(0o755)).unwrap();
+        let picture = Picture::new([64, 48], (0..64 * 48 * 3).map(|i| (i % 199) as u8).collect());
+        let site = cosurf_geo::SiteFrame::new(ORIGIN).unwrap();
+        let (mut views, mut images, mut geo) = (Vec::new(), String::new(), "EPSG:4326\n".to_owned());
+        for (i, enu) in Self::places().into_iter().enumerate() {
+            let name = format!("a{i}.JPG");
+            picture.write_jpeg(&flight.at("photos").join(&name), 90).unwrap();
+            picture.write_jpeg(&flight.at("undistorted/images").join(&name), 90).unwrap();
+            let camera = Self::camera(enu, i);
+            let Pose { rotation: q, translation: t } = camera.cam_from_world;
+            images += &format!("{i} {} {} {} {} {} {} {} 1 {name}\n\n", q.w, q.x, q.y, q.z, t.x, t.y, t.z);
+            views.push(View {
+                name: name.clone(),
+                camera,
+                path: flight.at("undistorted/images").join(&name),
+            });
+            let place = site.geodetic_from_enu(enu);
+            geo += &format!("{name} {} {} {}\n", place.longitude_deg, place.latitude_deg, place.height_m);
+        }
+        fs::write(flight.at("text/images.txt"), images).unwrap();
+        fs::write(flight.at("text/cameras.txt"), "1 OPENCV 64 48 50 50 32 24 0 0 0 0\n").unwrap();
+        fs::write(flight.at("photos/geo.txt"), geo).unwrap();
+        let point = SparsePoint { position: model_from_enu(DVec3::ZERO), rgb: [9; 3], views: vec![0, 1] };
+        let made = flight.folder.path().join("made");
+        fs::create_dir_all(&made).unwrap();
+        colmap::write(&made, &Dataset { views, points: vec![point] }).unwrap();
+        for file in ["cameras.bin", "images.bin", "points3D.bin"] {
+            fs::copy(made.join("sparse/0").join(file), flight.at("undistorted/sparse").join(file)).unwrap();
+        }
+        flight
+    }
+
+    /// East, north, up, metres.
+    fn places() -> [DVec3; 4] {
+        [[-50.0, -50.0], [-50.0, 50.0], [50.0, 50.0], [50.0, -50.0]].map(|[x, y]| DVec3::new(x, y, 50.0))
+    }
+
+    /// A camera in the frame of the reconstruction, which looks down with another heading each.
+    fn camera(enu: DVec3, turn: usize) -> Camera {
+        let eye = model_from_enu(enu);
+        let down = model_from_enu(DVec3::NEG_Z);
+        let heading = DQuat::from_axis_angle(down.normalize(), turn as f64 * std::f64::consts::FRAC_PI_2);
+        let cam_from_world = Pose::look_at(eye, eye + down, heading * model_from_enu(DVec3::Y));
+        Camera {
+            cam_from_world,
+            focal_px: DVec2::splat(50.0),
+            center_px: DVec2::new(32.0, 24.0),
+            size_px: [64, 48],
+        }
+    }
+
+    fn at(&self, name: &str) -> PathBuf {
+        self.folder.path().join(name)
+    }
+
+    fn plan(&self) -> IngestPlan {
+        IngestPlan {
+            photographs: self.at("photos"),
+            out: self.at("data"),
+            colmap: self.at("colmap"),
+            origin: Some(ORIGIN),
+            max_size_px: 1920,
+        }
+    }
+
+    /// Runs, and returns the commands of COLMAP that it needed.
+    fn run(&self, plan: &IngestPlan) -> (Result<Ingested, IngestError>, Vec<String>, Vec<AgentEvent>) {
+        let _ = fs::remove_file(self.at("calls"));
+        let mut events = Vec::new();
+        let ingested = ingest(plan, &mut |event| events.push(event));
+        let calls = fs::read_to_string(self.at("calls")).unwrap_or_default();
+        let calls = calls.lines().filter(|call| *call != "model_converter").map(str::to_owned).collect();
+        (ingested, calls, events)
+    }
+}
+
+fn model_from_enu(enu: DVec3) -> DVec3 {
+    DVec3::new(enu.y, -enu.z, enu.x) / SCALE
+}
+
+const ALL: [&str; 4] = ["feature_extractor", "matches_importer", "mapper", "image_undistorter"];
+
+#[test]
+fn a_flight_lies_where_its_places_say() {
+    let flight = Flight::new();
+    let (ingested, calls, _) = flight.run(&flight.plan());
+    let ingested = ingested.unwrap();
+    assert_eq!(calls, ALL);
+    let report = IngestReport { photographs: 4, posed: 4, points: 1, georeferenced: true };
+    assert_eq!(ingested.report, report);
+    let dataset = Dataset::open(&flight.at("data")).unwrap();
+    for (view, place) in dataset.views.iter().zip(Flight::places()) {
+        let center = view.camera.cam_from_world.center();
+        assert!(center.distance(place) < 0.05, "{}: {center}", view.name);
+        assert!(view.camera.cam_from_world.forward().distance(DVec3::NEG_Z) < 0.001);
+    }
+    assert!(dataset.points[0].position.length() < 0.05);
+    let geo = Georeference::of_folder(&flight.at("data")).unwrap().unwrap();
+    assert_eq!(geo.origin, ORIGIN);
+    assert_eq!(geo.gps.unwrap().agreeing, 4);
+}
+
+#[test]
+fn without_places_only_up_is_known() {
+    let flight = Flight::new();
+    fs::remove_file(flight.at("photos/geo.txt")).unwrap();
+    let (ingested, calls, _) = flight.run(&flight.plan());
+    assert!(!ingested.unwrap().report.georeferenced);
+    assert_eq!(calls[1], "exhaustive_matcher");
+    assert!(!flight.at("data/geo.json").exists());
+    let dataset = Dataset::open(&flight.at("data")).unwrap();
+    let forward = dataset.views[0].camera.cam_from_world.forward();
+    assert!(forward.distance(DVec3::NEG_Z) < 0.001, "{forward}");
+}
+
+#[test]
+fn finished_stages_are_not_done_again_unless_their_input_changes() {
+    let flight = Flight::new();
+    fs::write(flight.at("fails"), "mapper\n").unwrap();
+    let (failed, calls, _) = flight.run(&flight.plan());
+    let error = failed.unwrap_err().to_string();
+    assert!(error.contains("mapper failed: ERROR: no luck; ") && error.contains("poses.log"), "{error}");
+    assert_eq!(calls, ALL[..3]);
+    fs::write(flight.at("fails"), "").unwrap();
+    let (done, calls, events) = flight.run(&flight.plan());
+    done.unwrap();
+    assert_eq!(calls, ALL[2..]);
+    let resumed = events.iter().filter(|event| matches!(event, AgentEvent::Ingesting { resumed: true, .. }));
+    assert_eq!(resumed.count(), 2);
+    assert_eq!(flight.run(&flight.plan()).1, [""; 0]);
+    // Another photograph.
+    fs::copy(flight.at("photos/a0.JPG"), flight.at("photos/b.JPG")).unwrap();
+    let (done, calls, events) = flight.run(&flight.plan());
+    done.unwrap();
+    assert_eq!(calls, ALL);
+    let is_told = |event: &AgentEvent| matches!(event, AgentEvent::LeftOut { name, .. } if name == "b.JPG");
+    assert!(events.iter().any(is_told), "{events:?}");
+}
+
+#[test]
+fn folders_of_others_and_missing_programs_are_refused() {
+    let flight = Flight::new();
+    let missing = IngestPlan { colmap: flight.at("nowhere"), ..flight.plan() };
+    let error = flight.run(&missing).0.unwrap_err().to_string();
+    assert!(error.contains("nowhere") && error.contains("apt-get install colmap"), "{error}");
+    let other = IngestPlan { colmap: "/bin/echo".into(), ..flight.plan() };
+    let error = flight.run(&other).0.unwrap_err().to_string();
+    assert!(error.contains("is not COLMAP"), "{error}");
+    let onto_photographs = IngestPlan { out: flight.at("photos"), ..flight.plan() };
+    let error = flight.run(&onto_photographs).0.unwrap_err().to_string();
+    assert!(error.contains("--out"), "{error}");
+}
