@@ -39,7 +39,7 @@ esac
 "#;
 
 /// A flight of four photographs in a square of 100 m, 50 m above the ground, which look down, and its reconstruction: x
-/// is north, y is down, z is east.
+/// is north, y is down, z is west.
 struct Flight {
     folder: TempDir,
 }
@@ -129,7 +129,7 @@ impl Flight {
 }
 
 fn model_from_enu(enu: DVec3) -> DVec3 {
-    DVec3::new(enu.y, -enu.z, enu.x) / SCALE
+    DVec3::new(enu.y, -enu.z, -enu.x) / SCALE
 }
 
 const ALL: [&str; 4] = ["feature_extractor", "matches_importer", "mapper", "image_undistorter"];
@@ -197,7 +197,8 @@ fn folders_of_others_and_missing_programs_are_refused() {
     let missing = IngestPlan { colmap: flight.at("nowhere"), ..flight.plan() };
     let error = flight.run(&missing).0.unwrap_err().to_string();
     assert!(error.contains("nowhere") && error.contains("apt-get install colmap"), "{error}");
-    let other = IngestPlan { colmap: "/bin/echo".into(), ..flight.plan() };
+    // Another folder each: programs that other tests start just now may still hold the lock on the first.
+    let other = IngestPlan { colmap: "/bin/echo".into(), out: flight.at("other"), ..flight.plan() };
     let error = flight.run(&other).0.unwrap_err().to_string();
     assert!(error.contains("is not COLMAP"), "{error}");
     let onto_photographs = IngestPlan { out: flight.at("photos"), ..flight.plan() };

@@ -28,6 +28,9 @@ pub use up::Up;
 /// Fewest places that a fit by GPS takes: with two, nothing would tell that one is wrong.
 const GPS_MIN: usize = 3;
 
+/// Places that make the scale change more than so many times contradict each other: noise of any kind shrinks the scale.
+const SCALE_CHANGE_MAX: f64 = 4.0;
+
 /// A reconstruction's place.
 #[derive(Clone, Debug, PartialEq)]
 pub struct Fit {
@@ -58,6 +61,10 @@ pub fn fit(gps: &[Sighting], control: &[Sighting], up: &Up) -> Result<Fit, GeoEr
     let start = start(begin, up.direction)
         .ok_or(GeoError::NoFit("all photographs or control points have the same place"))?;
     let refined = refine(&start, gps, control, up)?;
+    let changed = refined.similarity.scale / start.scale;
+    if !(1.0 / SCALE_CHANGE_MAX..=SCALE_CHANGE_MAX).contains(&changed) {
+        return Err(GeoError::NoFit("the places of photographs or control points contradict the poses"));
+    }
     let agrees: Vec<bool> =
         gps.iter().map(|place| refined.spread.holds(&refined.similarity, place)).collect();
     let gps = (!gps.is_empty()).then(|| residuals(gps, &agrees, &refined.similarity));

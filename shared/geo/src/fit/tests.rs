@@ -111,3 +111,14 @@ fn too_little_is_refused() {
     let same = [sighting(1, DVec3::ZERO); 5];
     assert!(fit(&same, &[], &up(0.0, 2.0)).unwrap_err().to_string().contains("same place"));
 }
+
+#[test]
+fn a_mirrored_square_is_refused() {
+    let corner = |x: f64, y: f64| {
+        let model = truth().rotation.inverse() * DVec3::new(x, y, 0.0);
+        Sighting { model, enu_m: DVec3::new(-x, y, 0.0), has_height: true, sigma_m: 0.02 }
+    };
+    let square = [corner(-50.0, -50.0), corner(-50.0, 50.0), corner(50.0, 50.0), corner(50.0, -50.0)];
+    let error = fit(&square, &[], &up(0.0, 2.0)).unwrap_err().to_string();
+    assert!(error.contains("contradict"), "{error}");
+}
