@@ -18,6 +18,8 @@ use super::stages::{Stage, remove};
 const FEATURES_PX: u32 = 2400;
 /// Up to so many photographs without GPS, each is matched with each.
 const EXHAUSTIVE_MAX: usize = 100;
+/// Photographs in a block that is matched with another block; COLMAP tells its progress by blocks.
+const BLOCK: usize = 10;
 /// Bundle adjustment ends when a step improves the residuals by less than this share. COLMAP's default, 0, takes up to three
 /// times as long for no visible difference.
 const ADJUSTMENT_TOLERANCE: &str = "0.000001";
@@ -106,7 +108,8 @@ impl<'a> Recipe<'a> {
             self.colmap
                 .command("matches_importer", &[self.database(), gpu, (&["match_list_path"], list.into())])?
         } else if usable.len() <= EXHAUSTIVE_MAX {
-            self.colmap.command("exhaustive_matcher", &[self.database(), gpu])?
+            let block = (&["ExhaustiveMatching.block_size"][..], BLOCK.to_string().into());
+            self.colmap.command("exhaustive_matcher", &[self.database(), gpu, block])?
         } else {
             self.colmap.command("sequential_matcher", &[self.database(), gpu])?
         };
