@@ -27,7 +27,7 @@ pub(super) struct IngestArgs {
     out: PathBuf,
     /// Origin of the site, latitude and longitude in degrees and height in metres. Give the same to all drones of a site
     /// [default: the median of the photographs, rounded to 0.0001 degrees and whole metres]
-    #[arg(long, value_name = "LAT,LON,HEIGHT", value_parser = parse_origin, allow_hyphen_values = true)]
+    #[arg(long, value_name = "LAT,LON,HEIGHT", allow_hyphen_values = true)]
     origin: Option<Geodetic>,
     /// Shrink pictures until their long side is at most this many pixels
     #[arg(long, value_name = "PX", default_value_t = 1920, value_parser = clap::value_parser!(u32).range(16..))]
@@ -38,15 +38,6 @@ pub(super) struct IngestArgs {
     /// Print JSON instead of text
     #[arg(long)]
     json: bool,
-}
-
-fn parse_origin(text: &str) -> Result<Geodetic, String> {
-    let numbers: Option<Vec<f64>> = text.split(',').map(|number| number.trim().parse().ok()).collect();
-    let Some(&[latitude_deg, longitude_deg, height_m]) = numbers.as_deref() else {
-        return Err("give three numbers, for example 30.1712,-98.0897,300".into());
-    };
-    let origin = Geodetic { latitude_deg, longitude_deg, height_m };
-    origin.check().map(|()| origin).map_err(|error| error.to_string())
 }
 
 pub(super) fn run(args: &IngestArgs) -> Result<()> {
@@ -118,25 +109,4 @@ fn rms(points: &[PointResidual]) -> [f64; 3] {
         let squares = points.iter().map(|point| point.residual_m[axis].powi(2));
         (squares.sum::<f64>() / points.len() as f64).sqrt()
     })
-}
-
-#[cfg(test)]
-mod tests {
-    #![allow(clippy::unwrap_used)]
-    use super::*;
-
-    #[test]
-    fn origins_are_three_numbers_of_a_place() {
-        let origin = parse_origin("30.1712,-98.0897, 300").unwrap();
-        assert_eq!((origin.latitude_deg, origin.longitude_deg, origin.height_m), (30.1712, -98.0897, 300.0));
-        for (wrong, told) in [
-            ("30,98", "three numbers"),
-            ("a,b,c", "three numbers"),
-            ("98,30,0", "no place"),
-            ("nan,0,0", "no place"),
-        ] {
-            let error = parse_origin(wrong).unwrap_err();
-            assert!(error.contains(told), "{wrong}: {error}");
-        }
-    }
 }

@@ -6,16 +6,17 @@ use std::sync::Arc;
 use std::sync::atomic::{AtomicBool, Ordering};
 use std::time::Instant;
 
-use anyhow::{Context, Result, bail};
+use anyhow::{Context, Result, bail, ensure};
 use clap::Args;
 use cosurf_aggregator::mission::{MissionOrder, Settings, Surroundings, fly};
 use cosurf_aggregator::partition::{DEFAULT_MARGIN, Division, read_cells};
 use cosurf_aggregator::report::{MissionReport, table};
 use cosurf_city::CitySettings;
 use cosurf_contract::usage;
+use cosurf_geo::Georeference;
 use cosurf_link::BrokerAddress;
-use cosurf_scene::FolderLock;
 use cosurf_scene::bytes::parse_bytes;
+use cosurf_scene::{Dataset, FolderLock};
 
 use super::host::{cores, display, session};
 use super::merge::Ways;
@@ -23,11 +24,13 @@ use super::merge::Ways;
 /// Run a whole mission on this machine, from drone pictures to a global model and a report.
 ///
 /// Divides the pictures among agents by area, starts a broker and one process per agent, and merges the models that
-/// the agents train. Writes global.ply, mesh.ply, report.json and report.html to the output folder. The same command
-/// in the same folder resumes a mission that was stopped.
+/// the agents train. Writes global.ply, mesh.ply, report.json and report.html to the output folder. If the data tell where on
+/// the earth they lie (geo.json), maps and points are in OUT/survey. The same command in the same folder resumes a mission
+/// that was stopped.
 #[derive(Args)]
 pub(crate) struct MissionArgs {
-    /// Pictures with poses: a COLMAP model or a transforms.json [default: a synthetic city is rendered]
+    /// Pictures with poses: a COLMAP model or a transforms.json; or a drone's photographs, of which `cosurf-agent ingest`
+    /// then makes a dataset in OUT/data [default: a synthetic city is rendered]
     #[arg(long, value_name = "DIR")]
     data: Option<PathBuf>,
     /// Output folder
@@ -90,6 +93,13 @@ pub(crate) fn run(args: MissionArgs) -> Result<()> {
     let out = absolute(&args.out).context("--out")?;
     let _lock = FolderLock::take(&out, "cosurf-aggregator mission")?;
     let data = args.data.as_ref().map(absolute).transpose().context("--data")?;
+    let around = surroundings(args.json)?;
+    let data = match data {
+        Some(photographs) if Dataset::is_without_poses(&photographs) => {
+            Some(ingest(&around.agent, &photographs, &out.join("data"), args.json)?)
+        }
+        data => data,
+    };
     if args.broker.as_ref().is_some_and(|broker| broker.is_tls) {
         bail!("--broker: a mission does not use TLS; give an mqtt:// or ws:// address");
     }
@@ -112,8 +122,11 @@ pub(crate) fn run(args: MissionArgs) -> Result<()> {
         broker: args.broker,
         lpips: args.lpips,
     };
-    let report = fly(&order, &surroundings(args.json)?)?;
+    let report = fly(&order, &around)?;
     print_report(&report, &order.out, args.json)?;
+    if Georeference::of_folder(&order.out)?.is_some() {
+        deliver(order.out.clone(), args.merge_memory, args.json)?;
+    }
     let failed =
         report.agents.iter().filter_map(|agent| agent.failure.as_ref().map(|why| (&agent.device, why)));
     let failed: Vec<String> = failed.map(|(device, why)| format!("{device} failed: {why}")).collect();
@@ -121,6 +134,29 @@ pub(crate) fn run(args: MissionArgs) -> Result<()> {
         bail!("the global model lacks the models of some agents: {}", failed.join("; "));
     }
     Ok(())
+}
+
+/// Makes a dataset of photographs, and returns its folder. One that is there already is used.
+fn ingest(agent: &Path, photographs: &Path, data: &Path, json: bool) -> Result<PathBuf> {
+    if data.is_dir() && Dataset::open(data).is_ok() {
+        return Ok(data.to_owned());
+    }
+    ensure!(
+        agent.is_file(),
+        "{} is missing: build it with `cargo build --release --workspace`",
+        agent.display()
+    );
+    let mut command = std::process::Command::new(agent);
+    command.arg("ingest").arg(photographs).arg("--out").arg(data).args(json.then_some("--json"));
+    let status = command.status().with_context(|| agent.display().to_string())?;
+    ensure!(status.success(), "no dataset could be made of {}; see above", photographs.display());
+    Ok(data.to_owned())
+}
+
+/// Writes maps and points of a mission's model.
+fn deliver(folder: PathBuf, memory_bytes: u64, json: bool) -> Result<()> {
+    let out = folder.join("survey");
+    super::survey::run(&super::survey::SurveyArgs::of(folder, out, memory_bytes, json))
 }
 
 fn division(args: &MissionArgs) -> Result<Division> {

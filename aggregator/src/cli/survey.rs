@@ -15,6 +15,9 @@ use cosurf_scene::bytes::parse_bytes;
 use super::arguments::parse_length;
 use super::host::{cores, display};
 
+/// Usual difference of height between two contours, metres.
+const CONTOURS_M: f64 = 1.0;
+
 /// Make maps, points, contours and volumes of a georeferenced model, with a statement of their accuracy.
 ///
 /// Writes to the folder OUT: dsm.tif (heights) and ortho.tif (a true orthophoto), both Cloud-Optimised GeoTIFF;
@@ -32,7 +35,7 @@ pub(crate) struct SurveyArgs {
     #[arg(long, value_name = "OUT")]
     out: PathBuf,
     /// Where the world's origin is: degrees north, degrees east, metres above the ellipsoid of WGS 84. Instead of geo.json
-    #[arg(long, value_name = "LAT,LON,HEIGHT", value_parser = parse_origin, allow_hyphen_values = true)]
+    #[arg(long, value_name = "LAT,LON,HEIGHT", allow_hyphen_values = true)]
     origin: Option<Geodetic>,
     /// Coordinate system of the maps and points, as its EPSG number; it must be in metres [default: that of geo.json, or
     /// the UTM zone of the origin]
@@ -42,7 +45,7 @@ pub(crate) struct SurveyArgs {
     #[arg(long, value_name = "M", value_parser = parse_length)]
     gsd: Option<f64>,
     /// Difference of height between two contours, metres
-    #[arg(long, value_name = "M", default_value_t = 1.0, value_parser = parse_length)]
+    #[arg(long, value_name = "M", default_value_t = CONTOURS_M, value_parser = parse_length)]
     contours: f64,
     /// GeoJSON file of polygons, in longitude and latitude, whose volumes to measure: above and below a plane through the
     /// polygon's border
@@ -54,6 +57,14 @@ pub(crate) struct SurveyArgs {
     /// Print progress and result as lines of JSON
     #[arg(long)]
     json: bool,
+}
+
+impl SurveyArgs {
+    /// A survey of a folder with the usual settings.
+    pub(crate) fn of(folder: PathBuf, out: PathBuf, memory: u64, json: bool) -> Self {
+        let (origin, epsg, gsd, volumes) = (None, None, None, None);
+        Self { folder, out, origin, epsg, gsd, contours: CONTOURS_M, volumes, memory, json }
+    }
 }
 
 pub(crate) fn run(args: &SurveyArgs) -> Result<()> {
@@ -99,22 +110,6 @@ fn georeference(args: &SurveyArgs) -> Result<Georeference> {
     Ok(georeference)
 }
 
-fn parse_origin(text: &str) -> Result<Geodetic, String> {
-    let numbers: Vec<f64> = text.split(',').filter_map(|part| part.trim().parse().ok()).collect();
-    let is_three = text.split(',').count() == 3 && numbers.iter().all(|number| number.is_finite());
-    let &[latitude_deg, longitude_deg, height_m] = &numbers[..] else { return Err(no_origin(text)) };
-    let origin = Geodetic { latitude_deg, longitude_deg, height_m };
-    if is_three {
-        origin.check().map(|()| origin).map_err(|error| error.to_string())
-    } else {
-        Err(no_origin(text))
-    }
-}
-
-fn no_origin(text: &str) -> String {
-    format!("'{text}' is not three numbers; write for example 53.3,16.4,70.5")
-}
-
 fn print(args: &SurveyArgs, accuracy: &Accuracy, seconds: f64) -> Result<()> {
     let mut stdout = io::stdout().lock();
     if args.json {
@@ -135,28 +130,4 @@ fn print(args: &SurveyArgs, accuracy: &Accuracy, seconds: f64) -> Result<()> {
     }
     writeln!(stdout, "{}", args.out.join("accuracy.json").display())?;
     Ok(())
-}
-
-#[cfg(test)]
-mod tests {
-    #![allow(clippy::unwrap_used)]
-    use super::*;
-
-    #[test]
-    fn origins_are_three_numbers_of_a_place() {
-        let origin = parse_origin("-53.3, 16.4,-0.5").unwrap();
-        assert_eq!(origin, Geodetic { latitude_deg: -53.3, longitude_deg: 16.4, height_m: -0.5 });
-        for (text, told) in [
-            ("53.3,16.4", "not three numbers"),
-            ("53.3,16.4,x", "not three numbers"),
-            ("53.3,16.4,1,2", "not three numbers"),
-            ("nan,16.4,1", "not three numbers"),
-            ("153.3,16.4,1", "no place on the earth"),
-            ("53.3,16.4,inf", "not three numbers"),
-            ("53.3,16.4,1e9", "no place on the earth"),
-        ] {
-            let error = parse_origin(text).unwrap_err();
-            assert!(error.contains(told), "{text}: {error}");
-        }
-    }
 }

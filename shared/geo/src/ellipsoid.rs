@@ -1,5 +1,7 @@
 //! The ellipsoid of WGS 84, on which GPS gives places.
 
+use std::str::FromStr;
+
 use glam::DVec3;
 use serde::{Deserialize, Serialize};
 
@@ -67,6 +69,20 @@ impl Geodetic {
     }
 }
 
+impl FromStr for Geodetic {
+    type Err = GeoError;
+
+    /// Parses latitude, longitude and height, separated by commas: `30.1712,-98.0897,300`.
+    fn from_str(text: &str) -> Result<Self, GeoError> {
+        let numbers: Option<Vec<f64>> = text.split(',').map(|part| part.trim().parse().ok()).collect();
+        let Some(&[latitude_deg, longitude_deg, height_m]) = numbers.as_deref() else {
+            return Err(GeoError::NotThreeNumbers { text: text.into() });
+        };
+        let place = Self { latitude_deg, longitude_deg, height_m };
+        place.check().map(|()| place)
+    }
+}
+
 #[cfg(test)]
 mod tests {
     #![allow(clippy::unwrap_used)]
@@ -94,6 +110,24 @@ mod tests {
                     assert!((back.latitude_deg - latitude_deg).abs() < 1e-10, "{place:?} {back:?}");
                 }
             }
+        }
+    }
+
+    #[test]
+    fn places_are_written_as_three_numbers() {
+        let place = Geodetic { latitude_deg: -53.3, longitude_deg: 16.4, height_m: -0.5 };
+        assert_eq!("-53.3, 16.4,-0.5".parse::<Geodetic>().unwrap(), place);
+        for (text, told) in [
+            ("53.3,16.4", "not three numbers"),
+            ("53.3,16.4,x", "not three numbers"),
+            ("53.3,16.4,1,2", "not three numbers"),
+            ("", "not three numbers"),
+            ("nan,16.4,1", "no place on the earth"),
+            ("153.3,16.4,1", "no place on the earth"),
+            ("53.3,16.4,inf", "no place on the earth"),
+        ] {
+            let error = text.parse::<Geodetic>().unwrap_err().to_string();
+            assert!(error.contains(told), "{text}: {error}");
         }
     }
 

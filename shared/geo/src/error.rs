@@ -18,6 +18,14 @@ pub enum GeoError {
         /// Metres above the ellipsoid.
         height_m: f64,
     },
+    /// A text is not a place.
+    #[error(
+        "'{text}' is not three numbers; write latitude, longitude and height, for example 53.3,16.4,70.5"
+    )]
+    NotThreeNumbers {
+        /// The text.
+        text: String,
+    },
     /// A coordinate system is not known, or is not one of maps in metres.
     #[error(
         "EPSG:{epsg} is not a known map projection in metres; for UTM on WGS 84 it is 32600 + zone in the north, 32700 + zone in the south"

@@ -62,6 +62,13 @@ impl Dataset {
         }
         Ok(cameras)
     }
+
+    /// Whether a path is a folder of photographs, directly or in `images`, without any file of poses.
+    pub fn is_without_poses(path: &Path) -> bool {
+        let has_poses = colmap::find_model(path).is_some()
+            || ["transforms.json", camera_list::FILE].into_iter().any(|file| path.join(file).is_file());
+        !has_poses && (has_pictures(path) || has_pictures(&path.join("images")))
+    }
 }
 
 /// The views in the file's order, the points, and of how many points in a row one was kept.
@@ -118,7 +125,7 @@ fn no_dataset(path: &Path) -> String {
     if !path.is_dir() {
         return "there is no such folder".into();
     }
-    if has_pictures(path) || has_pictures(&path.join("images")) {
+    if Dataset::is_without_poses(path) {
         return format!(
             "holds photographs without poses; run `cosurf-agent ingest {} --out DATA`, then give DATA",
             path.display()
