@@ -22,8 +22,11 @@ const MEASURED_PX: u32 = 16;
 pub(super) struct Surface {
     caster: Caster,
     frame: LocalFrame,
-    /// World height of the lowest camera, metres. What lies above is no ground.
+    /// World height of the highest camera, metres: what lies above is no ground. Not of the lowest one, because a flight
+    /// that follows the terrain has cameras in a valley that are lower than the hill beside it.
     pub(super) ceiling_m: f64,
+    /// World height of the lowest camera, metres.
+    pub(super) lowest_eye_m: f64,
     /// The vertices of the mesh that enough cameras see.
     pub(super) seen: Extent,
     /// For each vertex of the mesh: whether enough cameras see it.
@@ -52,8 +55,9 @@ impl Surface {
         cameras: &[Camera],
         witnesses: &Witnesses,
     ) -> Result<Self, SurveyError> {
-        let eyes = cameras.iter().map(|camera| camera.cam_from_world.center().z);
-        let ceiling_m = eyes.fold(f64::INFINITY, f64::min);
+        let eyes = || cameras.iter().map(|camera| camera.cam_from_world.center().z);
+        let ceiling_m = eyes().fold(f64::NEG_INFINITY, f64::max);
+        let lowest_eye_m = eyes().fold(f64::INFINITY, f64::min);
         let all: Vec<usize> = (0..cameras.len()).collect();
         let world = |position: &[f32; 3]| frame.world_from_local(DVec3::from_array(position.map(f64::from)));
         let sees = |at: DVec3| at.z < ceiling_m && witnesses.see(&all, at);
@@ -65,7 +69,8 @@ impl Surface {
         let covers = |camera: &Camera| covers_m(&caster, &frame.local_camera(camera));
         let gsd = median(cameras.iter().filter_map(covers).collect()).ok_or(SurveyError::NothingSeen)?;
         let gsd_m = two_digits(gsd * frame.unit());
-        Ok(Self { caster, frame: *frame, ceiling_m, seen: Extent { places, median_m }, is_seen, gsd_m })
+        let seen = Extent { places, median_m };
+        Ok(Self { caster, frame: *frame, ceiling_m, lowest_eye_m, seen, is_seen, gsd_m })
     }
 
     /// World height of the surface at a place, metres; `None` if there is none below the ceiling.

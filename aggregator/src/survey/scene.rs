@@ -87,10 +87,10 @@ impl Scene {
         let splats = ply::read(&self.model, &self.frame)?;
         let floats = |mean: &[f32; 3]| {
             let at = self.frame.world_from_local(DVec3::from_array(mean.map(f64::from)));
-            at.z > surface.ceiling_m
-                || surface
-                    .highest_near(at.truncate(), BESIDE_VOXELS * voxel_m)
-                    .is_some_and(|highest_m| at.z > highest_m + FLOATING_VOXELS * voxel_m)
+            match surface.highest_near(at.truncate(), BESIDE_VOXELS * voxel_m) {
+                Some(highest_m) => at.z > highest_m + FLOATING_VOXELS * voxel_m,
+                None => at.z > surface.lowest_eye_m,
+            }
         };
         let floating: Vec<u32> = (0..splats.len() as u32)
             .into_par_iter()

@@ -45,7 +45,7 @@ fn model(folder: &Path) {
             splats.push([x, y, SLOPE as f32 * x], quat, [-1.8, -1.8, -6.0], 5.0, &color);
         }
     }
-    // Above all cameras: it hides a square metre of the map, but nothing from them.
+    // Above all cameras: it would hide a square metre of the map, but hides nothing from them.
     splats.push([0.0, 1.0, 12.0], [1.0, 0.0, 0.0, 0.0], [-1.0, -1.0, -3.0], 5.0, &colors([1.0, 0.0, 0.0]));
     ply::write(&folder.join("global.ply"), &splats, &LocalFrame::WORLD).unwrap();
     camera_list::write(&folder.join(camera_list::FILE), &cameras()).unwrap();

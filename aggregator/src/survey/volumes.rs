@@ -65,7 +65,7 @@ fn find_volume(
     let border_rms_m = plane.rms(&border);
 
     let (mut count, mut cut, mut fill, mut sum) = (0u64, 0.0, 0.0, 0.0);
-    for_each_inside(&rings, lattice.size_px(), heights, |px, height| {
+    for_each_inside(&rings, heights, |px, height| {
         let above = height - plane.height(px);
         count += 1;
         cut += above.max(0.0);
@@ -93,7 +93,7 @@ fn border_heights(
 ) -> Result<Vec<(DVec2, f64)>, SceneError> {
     let inside = |at: DVec2| {
         let is_inside = at.cmpge(DVec2::ZERO).all() && at.x < size_px[0].into() && at.y < size_px[1].into();
-        is_inside.then(|| [at.x as u32, at.y as u32])
+        is_inside.then_some([at.x as u32, at.y as u32])
     };
     let mut pixels: Vec<(usize, [u32; 2])> =
         polygons::along(ring, size_px).filter_map(inside).map(|px| (heights.tile_of(px), px)).collect();
@@ -115,7 +115,6 @@ fn border_heights(
 /// Calls `visit` with the centre, px, and the height, metres, of each pixel that has a height and whose centre is inside.
 fn for_each_inside(
     rings: &[Vec<DVec2>],
-    size_px: [u32; 2],
     heights: &mut Tiles<f32>,
     mut visit: impl FnMut(DVec2, f64),
 ) -> Result<(), SceneError> {
@@ -124,7 +123,6 @@ fn for_each_inside(
         |of: fn(f64, f64) -> f64, start: f64, axis: usize| corners().map(|at| at[axis]).fold(start, of);
     let low = [0, 1].map(|axis| bound(f64::min, f64::INFINITY, axis));
     let high = [0, 1].map(|axis| bound(f64::max, f64::NEG_INFINITY, axis));
-    debug_assert!(size_px.iter().all(|side| *side > 0));
     for tile in 0..heights.len() {
         let window = heights.window(tile);
         let is_apart = (0..2).any(|axis| {

@@ -174,8 +174,8 @@ mod tests {
     fn rows_cross_rings_at_their_sides() {
         let ring: Vec<DVec2> =
             [[0.0, 0.0], [8.0, 0.0], [8.0, 4.0], [0.0, 4.0], [0.0, 0.0]].map(DVec2::from).to_vec();
-        assert_eq!(crossings(&[ring.clone()], 2.0), [0.0, 8.0]);
-        assert_eq!(crossings(&[ring.clone()], 4.5), Vec::<f64>::new());
+        assert_eq!(crossings(std::slice::from_ref(&ring), 2.0), [0.0, 8.0]);
+        assert_eq!(crossings(std::slice::from_ref(&ring), 4.5), Vec::<f64>::new());
         assert_eq!(along(&ring, [10, 10]).count(), 24);
         assert_eq!(middle(&ring), DVec2::new(4.0, 2.0));
     }
