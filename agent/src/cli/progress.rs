@@ -199,7 +199,7 @@ fn describe(event: &AgentEvent) -> Option<String> {
             };
             format!("{stage}: {done}/{of}{left}")
         }
-        AgentEvent::LeftOut { name, reason } => format!("left out: {name} {reason}"),
+        AgentEvent::LeftOut { name, reason } => format!("left out: {name}: {reason}"),
         AgentEvent::Ingested { .. } => return None,
         AgentEvent::Ready { report } => {
             let ReadyReport { views, held_out, splats, size_px: [width, height], device, given_up } = report;

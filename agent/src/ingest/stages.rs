@@ -85,8 +85,12 @@ impl<'a> Stages<'a> {
     fn work(&mut self, stage: &Stage, of: usize, log: &Path) -> Result<(), IngestError> {
         let begun = Instant::now();
         let tell = &mut *self.tell;
+        let mut last = None;
         let mut at = |done: usize| {
             let done = done.min(of);
+            if last.replace(done) == Some(done) {
+                return;
+            }
             let left = begun.elapsed().as_secs_f32() / done.max(1) as f32 * (of - done) as f32;
             let seconds_left = (done > 0).then_some(left);
             tell(AgentEvent::Ingesting { stage: stage.kind, done, of, seconds_left, resumed: false });

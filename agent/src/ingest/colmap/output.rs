@@ -58,7 +58,8 @@ impl Complaint {
     pub(super) fn read(&mut self, line: &str) {
         let line = line.trim();
         // The stack of a failed check tells a user nothing.
-        if line.is_empty() || line.starts_with('@') || line.starts_with("***") {
+        let is_stack = line.contains("@ ") && line.contains("0x");
+        if line.is_empty() || is_stack || line.starts_with("***") {
             return;
         }
         let text: String = line.chars().take(LINE_CHARS_MAX).collect();
@@ -114,7 +115,7 @@ mod tests {
             text.lines().for_each(|line| complaint.read(line));
             complaint.text()
         };
-        let text = "Loading\nERROR: failed to create sparse model\n\nElapsed time: 0.1 [minutes]\n*** Check failure stack trace: ***\n    @ 0x1  main\n";
+        let text = "Loading\nERROR: failed to create sparse model\n\nElapsed time: 0.1 [minutes]\n*** Check failure stack trace: ***\n    @ 0x1  main\nPC: @   0x0 (unknown)\n";
         assert_eq!(reason(text).unwrap(), "ERROR: failed to create sparse model");
         assert_eq!(reason("one\ntwo\n").unwrap(), "two");
         assert_eq!(reason("\n"), None);
