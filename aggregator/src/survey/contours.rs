@@ -5,7 +5,7 @@
 //!
 //! What it knows nothing about: where heights come from.
 //!
-//! Where to start reading: [`write_contours`], then [`trace`].
+//! Where to start reading: [`write_contours`], then [`trace()`].
 
 mod grid;
 mod trace;

@@ -207,8 +207,8 @@ pub(super) mod tests {
             assert!(px.x >= 0.0 && px.y >= 0.0 && px.x < size[0] && px.y < size[1], "{px}");
             assert!(lattice.map_from_px(px).distance(map) < 1e-6);
         }
-        // UTM 33 at 1.4° from its middle: its scale is 0.9996 · (1 + d² / 2 r²), with d = 93 km. The ground is 75 m above the
-        // ellipsoid, which stretches it by h / r.
+        // UTM 33 at 1.4° from its middle: its scale is 0.9996 · (1 + d² / 2 r²), with d = 93 km. The ground is 75 m
+        // above the ellipsoid, which stretches it by h / r.
         let area_m2 = lattice.pixel_area_m2(DVec2::splat(9.0)).unwrap();
         assert!((area_m2 / 0.0625 - 1.000_611).abs() < 3e-6, "{area_m2}");
     }
