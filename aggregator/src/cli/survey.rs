@@ -98,7 +98,7 @@ fn georeference(args: &SurveyArgs) -> Result<Georeference> {
         (Some(origin), _) => Georeference::at(origin)?,
         (None, Some(georeference)) => georeference,
         (None, None) => bail!(
-            "{}: there is no {}, which tells where on the earth the model lies; give the world's origin with --origin LAT,LON,HEIGHT",
+            "{}: there is no {} with an origin, which tells where on the earth the model lies; give the world's origin with --origin LAT,LON,HEIGHT",
             args.folder.display(),
             Georeference::FILE
         ),

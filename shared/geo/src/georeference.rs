@@ -81,15 +81,22 @@ impl Georeference {
         Ok(Self { origin, epsg, gps: None, uncertainty: None, control: Vec::new(), check: Vec::new() })
     }
 
-    /// The georeference in a folder; `None` if it has none.
+    /// The georeference in a folder; `None` if it has none. Other programs write other files of this name: one without
+    /// `origin` is none.
     pub fn of_folder(folder: &Path) -> Result<Option<Self>, GeoError> {
         let path = folder.join(Self::FILE);
-        if path.is_file() { Self::read(&path).map(Some) } else { Ok(None) }
+        if !path.is_file() {
+            return Ok(None);
+        }
+        let bytes = read_bytes(&path)?;
+        let is_foreign = serde_json::from_slice(&bytes)
+            .is_ok_and(|fields: serde_json::Map<String, serde_json::Value>| !fields.contains_key("origin"));
+        if is_foreign { Ok(None) } else { Self::read(&path).map(Some) }
     }
 
     /// Reads and checks a file.
     pub fn read(path: &Path) -> Result<Self, GeoError> {
-        let bytes = fs::read(path).map_err(|cause| GeoError::Io { path: path.into(), cause })?;
+        let bytes = read_bytes(path)?;
         let malformed = |cause| GeoError::Malformed { path: path.into(), cause };
         let its: Self = serde_json::from_slice(&bytes).map_err(malformed)?;
         its.origin.check()?;
@@ -113,6 +120,10 @@ impl Georeference {
     }
 }
 
+fn read_bytes(path: &Path) -> Result<Vec<u8>, GeoError> {
+    fs::read(path).map_err(|cause| GeoError::Io { path: path.into(), cause })
+}
+
 #[cfg(test)]
 mod tests {
     #![allow(clippy::unwrap_used)]
@@ -131,6 +142,11 @@ mod tests {
         assert_eq!(Georeference::of_folder(folder.path()).unwrap(), None);
         fs::write(folder.path().join(Georeference::FILE), example().to_json()).unwrap();
         assert_eq!(Georeference::of_folder(folder.path()).unwrap(), Some(example()));
+        let foreign = r#"{"origin_lat": 30.1712, "origin_lon": -98.0897, "scale": 11.3}"#;
+        fs::write(folder.path().join(Georeference::FILE), foreign).unwrap();
+        assert_eq!(Georeference::of_folder(folder.path()).unwrap(), None, "a file of another program");
+        fs::write(folder.path().join(Georeference::FILE), "{\"origin\": 3}").unwrap();
+        assert!(Georeference::of_folder(folder.path()).is_err());
     }
 
     #[test]
