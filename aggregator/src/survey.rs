@@ -39,6 +39,7 @@ use cosurf_geo::Georeference;
 use cosurf_scene::{SceneError, atomic};
 
 use crate::mesh::FuseEvent;
+use crate::service::remove;
 pub use accuracy::{Accuracy, MadeFile, PointsAccuracy};
 use accuracy::{Made, accuracy_of};
 use contours::write_contours;
@@ -102,7 +103,7 @@ pub fn survey(order: &SurveyOrder, mut on_event: impl FnMut(SurveyEvent)) -> Res
     atomic::remove_partial_files(&order.out)?;
     let at = |name| order.out.join(name);
     let accuracy_file = at("accuracy.json");
-    remove_old(&accuracy_file)?;
+    remove(&accuracy_file)?; // its statement is of the files of an earlier run
 
     let fused =
         scene.mesh(order.memory_bytes, order.threads, |event| on_event(SurveyEvent::Fusion(event)))?;
@@ -144,12 +145,4 @@ pub fn survey(order: &SurveyOrder, mut on_event: impl FnMut(SurveyEvent)) -> Res
     let accuracy = accuracy_of(&order.georeference, &lattice, &made, order.contours_m, volumes.is_some());
     atomic::write_bytes(&accuracy_file, accuracy.to_json().as_bytes())?;
     Ok(accuracy)
-}
-
-/// Removes the statement of an earlier run, whose other files are about to be replaced.
-fn remove_old(file: &std::path::Path) -> Result<(), SceneError> {
-    match fs::remove_file(file) {
-        Err(cause) if cause.kind() != std::io::ErrorKind::NotFound => Err(SceneError::io(file, cause)),
-        _ => Ok(()),
-    }
 }

@@ -62,7 +62,7 @@ fn print(ingested: &Ingested, args: &IngestArgs) -> Result<()> {
         Some(georeference) => print_place(&mut stdout, georeference)?,
         None => writeln!(
             stdout,
-            "scale and place are unknown, only z is up: the photographs have no GPS; give geo.txt or gcp_list.txt beside them"
+            "scale and place are unknown, only z is up: put a geo.txt or a gcp_list.txt beside the photographs"
         )?,
     }
     writeln!(stdout, "{}", args.out.display())?;
@@ -92,7 +92,7 @@ fn print_place(out: &mut impl Write, its: &Georeference) -> io::Result<()> {
     }
     for (noun, points) in [("control point", &its.control), ("check point", &its.check)] {
         if !points.is_empty() {
-            let [east, north, up] = rms(points);
+            let [east, north, up] = PointResidual::rms_m(points);
             let count = counted(points.len() as u64, noun);
             writeln!(
                 out,
@@ -101,12 +101,4 @@ fn print_place(out: &mut impl Write, its: &Georeference) -> io::Result<()> {
         }
     }
     Ok(())
-}
-
-/// Root mean square of the residuals along each axis, metres.
-fn rms(points: &[PointResidual]) -> [f64; 3] {
-    [0, 1, 2].map(|axis| {
-        let squares = points.iter().map(|point| point.residual_m[axis].powi(2));
-        (squares.sum::<f64>() / points.len() as f64).sqrt()
-    })
 }

@@ -8,7 +8,7 @@ use std::time::Instant;
 
 use anyhow::{Context, Result, bail, ensure};
 use clap::Args;
-use cosurf_aggregator::mission::{MissionOrder, Settings, Surroundings, fly};
+use cosurf_aggregator::mission::{MissionError, MissionOrder, Settings, Surroundings, fly};
 use cosurf_aggregator::partition::{DEFAULT_MARGIN, Division, read_cells};
 use cosurf_aggregator::report::{MissionReport, table};
 use cosurf_city::CitySettings;
@@ -141,11 +141,9 @@ fn ingest(agent: &Path, photographs: &Path, data: &Path, json: bool) -> Result<P
     if data.is_dir() && Dataset::open(data).is_ok() {
         return Ok(data.to_owned());
     }
-    ensure!(
-        agent.is_file(),
-        "{} is missing: build it with `cargo build --release --workspace`",
-        agent.display()
-    );
+    if !agent.is_file() {
+        return Err(MissionError::NoAgent { path: agent.to_owned() }.into());
+    }
     let mut command = std::process::Command::new(agent);
     command.arg("ingest").arg(photographs).arg("--out").arg(data).args(json.then_some("--json"));
     let status = command.status().with_context(|| agent.display().to_string())?;

@@ -120,11 +120,7 @@ fn made_files(contours_m: f64, has_volumes: bool) -> Vec<MadeFile> {
 
 impl PointsAccuracy {
     fn of(points: &[PointResidual]) -> Option<Self> {
-        let mean_square = |axis: usize| {
-            points.iter().map(|point| point.residual_m[axis].powi(2)).sum::<f64>() / points.len() as f64
-        };
-        (!points.is_empty())
-            .then(|| Self { rmse_m: [0, 1, 2].map(|axis| mean_square(axis).sqrt()), points: points.to_vec() })
+        (!points.is_empty()).then(|| Self { rmse_m: PointResidual::rms_m(points), points: points.to_vec() })
     }
 }
 

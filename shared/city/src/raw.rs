@@ -151,8 +151,8 @@ fn direction(rng: &mut Rng) -> DVec3 {
 #[cfg(test)]
 mod tests {
     #![allow(clippy::unwrap_used)]
+    use cosurf_geo::{Gps, PhotoInfo};
     use cosurf_scene::Picture;
-    use exif::{In, Tag, Value};
 
     use super::*;
     use crate::CitySettings;
@@ -161,18 +161,8 @@ mod tests {
 
     /// The place that a photograph's EXIF tells.
     fn told(path: &Path) -> Geodetic {
-        let mut bytes = std::io::BufReader::new(fs::File::open(path).unwrap());
-        let read = exif::Reader::new().read_from_container(&mut bytes).unwrap();
-        let numbers = |tag| match &read.get_field(tag, In::PRIMARY).unwrap().value {
-            Value::Rational(of) => of.iter().map(|number| number.to_f64()).collect::<Vec<_>>(),
-            other => panic!("{other:?}"),
-        };
-        let degrees = |of: Vec<f64>| of[0] + of[1] / 60.0 + of[2] / 3600.0;
-        Geodetic {
-            latitude_deg: degrees(numbers(Tag::GPSLatitude)),
-            longitude_deg: degrees(numbers(Tag::GPSLongitude)),
-            height_m: numbers(Tag::GPSAltitude)[0],
-        }
+        let Gps { latitude_deg, longitude_deg, height_m } = PhotoInfo::read(path).unwrap().gps.unwrap();
+        Geodetic { latitude_deg, longitude_deg, height_m: height_m.unwrap() }
     }
 
     #[test]

@@ -70,6 +70,16 @@ pub struct PointResidual {
     pub residual_m: [f64; 3],
 }
 
+impl PointResidual {
+    /// Root mean square of the residuals: east, north, up, metres. Not a number without points.
+    pub fn rms_m(points: &[Self]) -> [f64; 3] {
+        [0, 1, 2].map(|axis| {
+            let squares = points.iter().map(|point| point.residual_m[axis].powi(2));
+            (squares.sum::<f64>() / points.len() as f64).sqrt()
+        })
+    }
+}
+
 impl Georeference {
     /// Name of the file in the folder of a dataset or a model.
     pub const FILE: &str = "geo.json";
@@ -91,14 +101,17 @@ impl Georeference {
         let bytes = read_bytes(&path)?;
         let is_foreign = serde_json::from_slice(&bytes)
             .is_ok_and(|fields: serde_json::Map<String, serde_json::Value>| !fields.contains_key("origin"));
-        if is_foreign { Ok(None) } else { Self::read(&path).map(Some) }
+        if is_foreign { Ok(None) } else { Self::parse(&path, &bytes).map(Some) }
     }
 
     /// Reads and checks a file.
     pub fn read(path: &Path) -> Result<Self, GeoError> {
-        let bytes = read_bytes(path)?;
+        Self::parse(path, &read_bytes(path)?)
+    }
+
+    fn parse(path: &Path, bytes: &[u8]) -> Result<Self, GeoError> {
         let malformed = |cause| GeoError::Malformed { path: path.into(), cause };
-        let its: Self = serde_json::from_slice(&bytes).map_err(malformed)?;
+        let its: Self = serde_json::from_slice(bytes).map_err(malformed)?;
         its.origin.check()?;
         Projection::new(its.epsg)?;
         Ok(its)
