@@ -1,9 +1,9 @@
 //! Scores of a model on held-out pictures.
 
 use anyhow::Result;
-use cosurf_engine::Renderer;
+use cosurf_engine::Rendering;
 use cosurf_scene::metrics::{psnr, ssim};
-use cosurf_scene::{Picture, View};
+use cosurf_scene::{Camera, Picture, View};
 use serde::Serialize;
 use tracing::info_span;
 
@@ -47,15 +47,21 @@ pub fn scratch_bytes(views: &[View], max_size_px: u32) -> Result<u64> {
 }
 
 /// Renders each view with a long side of at most `max_size_px`, and compares the rendering with the view's picture.
-/// Rendered colours are first clamped to 0..=1, as they are in a picture file. Fails if a picture cannot be read.
-pub fn score(renderer: &mut Renderer, views: &[View], max_size_px: u32) -> Result<Score> {
+/// Rendered colours are first clamped to 0..=1, as they are in a picture file. Fails if a picture cannot be read or
+/// rendered.
+pub fn score(
+    mut render: impl FnMut(&Camera) -> Result<Rendering>,
+    views: &[View],
+    max_size_px: u32,
+) -> Result<Score> {
     let _span = info_span!("evaluate", views = views.len()).entered();
     let scores = views
         .iter()
         .map(|view| {
             let size_px = view.camera.fitted_size(max_size_px);
+            // The model first: how much of it fits depends on what the process holds already.
+            let mut rendering = render(&view.camera.resized(size_px))?;
             let truth = Picture::read_fitted(&view.path, size_px)?.to_unit();
-            let mut rendering = renderer.render(&view.camera.resized(size_px));
             rendering.rgb.iter_mut().for_each(|v| *v = v.clamp(0.0, 1.0));
             let (psnr, ssim) = (psnr(&rendering.rgb, &truth), ssim(&rendering.rgb, &truth, size_px));
             Ok(ViewScore { name: view.name.clone(), psnr, ssim })

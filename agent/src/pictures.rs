@@ -4,7 +4,7 @@ use std::io::Write;
 use std::path::Path;
 
 use anyhow::Result;
-use cosurf_engine::Renderer;
+use cosurf_engine::Views;
 use cosurf_scene::colormap::{depth_picture, depth_range, normal_picture};
 use cosurf_scene::{Camera, Picture, View, atomic};
 
@@ -19,11 +19,11 @@ pub fn scratch_bytes(cameras: &[Camera]) -> u64 {
 
 /// Renders `view` with a long side of at most `max_size_px` and writes `NAME.color.png`, `NAME.depth.png`,
 /// `NAME.normal.png` and `NAME.depth.pfm` into `folder`. NAME is the view's name without its extension, with `_` for `/`
-/// and `\`. `unit` is the length of the renderer's unit, metres. The PFM has one 32-bit float per pixel: metres along the
+/// and `\`. `unit` is the length of the model's unit, metres. The PFM has one 32-bit float per pixel: metres along the
 /// optical axis, 0 where there is no surface.
-pub fn write(renderer: &mut Renderer, view: &View, max_size_px: u32, unit: f64, folder: &Path) -> Result<()> {
+pub fn write(model: &mut Views, view: &View, max_size_px: u32, unit: f64, folder: &Path) -> Result<()> {
     let camera = view.camera.fitted(max_size_px);
-    let mut rendering = renderer.render(&camera);
+    let mut rendering = model.render(&camera)?;
     rendering.depth.iter_mut().for_each(|depth| *depth *= unit as f32);
     let stem = Path::new(&view.name).with_extension("");
     let stem = stem.to_string_lossy().replace(['/', '\\'], "_");

@@ -25,6 +25,7 @@ use std::ops::ControlFlow;
 use std::path::{Path, PathBuf};
 use std::sync::mpsc;
 
+use cosurf_engine::{ViewError, Views};
 use cosurf_link::BrokerAddress;
 use cosurf_scene::{Camera, Dataset, LocalFrame, SceneError, View, atomic};
 use cosurf_wire::{ModelHeader, SiteId};
@@ -36,7 +37,7 @@ use crate::outputs::{Relief, relief};
 use crate::report::{Drawings, EdgeSummary, MissionReport, Showcase, page, showcases};
 use crate::service::{Merging, global_ply, write_joined};
 use crate::terminal::Meter;
-use crate::views::{ViewError, Views};
+use crate::views::open_within;
 use agents::{AgentCommand, AgentProcesses};
 use board::{Phase, Status};
 pub use city::MakeCityError;
@@ -191,7 +192,7 @@ impl Scene {
 
     /// The model in a PLY file, to be rendered within the memory of the mission's merges.
     fn model(&self, file: PathBuf, order: &MissionOrder, around: &Surroundings) -> Result<Views, SceneError> {
-        Views::open(file, &self.frame, Some(order.settings.merge.memory_bytes), around.cores)
+        open_within(file, &self.frame, order.settings.merge.memory_bytes, around.cores)
     }
 }
 

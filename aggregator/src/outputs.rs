@@ -9,12 +9,13 @@ mod relief;
 
 use std::ops::ControlFlow;
 
+use cosurf_engine::ViewError;
 use cosurf_scene::{Camera, Caster, Dataset, LocalFrame, atomic, evenly_spaced, files};
 
 use crate::mesh::MeshError;
 use crate::report::{MeshSummary, SitePicture, SiteReport, site_page};
 use crate::service::{Merging, ReportError, ReportTask, Reported, file_hash, global_ply, remove};
-use crate::views::{ViewError, Views};
+use crate::views::open_within;
 pub(crate) use relief::{Relief, relief};
 
 /// Number of cameras whose views the report shows.
@@ -97,7 +98,7 @@ fn pictures(
     // First all of the mesh, so that mesh and splats are not in memory at once.
     let casts: Vec<_> = cameras.iter().map(|camera| Some(mesh.as_ref()?.cast(camera))).collect();
     drop(mesh);
-    let mut views = Views::open(global_ply(&task.folder), frame, Some(task.memory_bytes), task.threads)?;
+    let mut views = open_within(global_ply(&task.folder), frame, task.memory_bytes, task.threads)?;
     views.expect(cameras.clone());
     let mut pictures = Vec::new();
     for (camera, mesh) in cameras.iter().zip(casts) {

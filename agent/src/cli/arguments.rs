@@ -5,7 +5,7 @@ use std::path::Path;
 use anyhow::Result;
 use clap::Args;
 use cosurf_agent::viewing;
-use cosurf_engine::{DeviceChoice, Renderer};
+use cosurf_engine::{DeviceChoice, Views};
 use cosurf_scene::bytes::parse_bytes;
 use cosurf_scene::{Camera, LocalFrame, ply};
 
@@ -49,7 +49,8 @@ pub(super) struct DeviceArgs {
 /// Options of the commands that render a finished model.
 #[derive(Args, Clone, Debug)]
 pub(super) struct ViewingArgs {
-    /// Limit on resident memory, for example 300MiB; the pictures are then rendered on the CPU [default: no limit]
+    /// Limit on resident memory, for example 300MiB; the pictures are then rendered on the CPU, and a model that is too
+    /// large is read once for every few pictures [default: no limit]
     #[arg(long, value_name = "BYTES", value_parser = parse_bytes)]
     memory: Option<u64>,
     #[command(flatten)]
@@ -66,9 +67,9 @@ impl ViewingArgs {
         cameras: &[Camera],
         threads: usize,
         beside_bytes: u64,
-    ) -> Result<Renderer> {
+    ) -> Result<Views> {
         let device = self.device.device;
-        viewing::open(&ply::of_model(model)?, frame, cameras, device, threads, self.memory, beside_bytes)
+        viewing::open(ply::of_model(model)?, frame, cameras, device, threads, self.memory, beside_bytes)
     }
 }
 

@@ -36,9 +36,8 @@ pub(super) fn run(args: &EvalArgs) -> Result<()> {
     let max_size_px = args.common.max_size_px();
     let cameras: Vec<_> = views.iter().map(|view| view.camera.fitted(max_size_px)).collect();
     let beside_bytes = evaluate::scratch_bytes(&views, max_size_px)?;
-    let mut renderer =
-        args.viewing.open(&args.model, &frame, &cameras, args.common.threads(), beside_bytes)?;
-    let score = evaluate::score(&mut renderer, &views, max_size_px)?;
+    let mut model = args.viewing.open(&args.model, &frame, &cameras, args.common.threads(), beside_bytes)?;
+    let score = evaluate::score(|camera| Ok(model.render(camera)?), &views, max_size_px)?;
     let mut stdout = io::stdout().lock();
     if args.common.json {
         writeln!(stdout, "{}", serde_json::to_string(&score)?)?;

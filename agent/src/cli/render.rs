@@ -35,11 +35,10 @@ pub(super) fn run(args: &RenderArgs) -> Result<()> {
     let max_size_px = args.common.max_size_px();
     let cameras: Vec<_> = dataset.views.iter().map(|view| view.camera.fitted(max_size_px)).collect();
     let beside_bytes = pictures::scratch_bytes(&cameras);
-    let mut renderer =
-        args.viewing.open(&args.model, &frame, &cameras, args.common.threads(), beside_bytes)?;
+    let mut model = args.viewing.open(&args.model, &frame, &cameras, args.common.threads(), beside_bytes)?;
     std::fs::create_dir_all(&args.out).with_context(|| args.out.display().to_string())?;
     for (done, view) in dataset.views.iter().enumerate() {
-        pictures::write(&mut renderer, view, max_size_px, frame.unit(), &args.out)?;
+        pictures::write(&mut model, view, max_size_px, frame.unit(), &args.out)?;
         if args.common.json {
             let line = serde_json::json!({ "view": view.name, "done": done + 1, "of": dataset.views.len() });
             let _ = writeln!(io::stdout(), "{line}"); // a closed pipe does not stop the rendering

@@ -253,8 +253,9 @@ fn finish(plan: &TrainPlan, session: Session, out: &Path, spent: Spent) -> Resul
             plan.data.display()
         );
     }
-    let score =
-        evaluate::score(&mut Renderer::new(&splats, plan.threads), &held_out, size_px[0].max(size_px[1]))?;
+    let mut renderer = Renderer::new(&splats, plan.threads);
+    let score = evaluate::score(|camera| Ok(renderer.render(camera)), &held_out, size_px[0].max(size_px[1]))?;
+    drop(renderer);
     let report = TrainReport {
         steps: plan.steps,
         seconds: spent.seconds,

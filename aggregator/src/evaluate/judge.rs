@@ -1,13 +1,12 @@
 //! Scores a model on photographs, and on the true surface if it is known. Only missions and users have
 //! photographs. The receiving service never has any, so it cannot score models.
 
-use cosurf_engine::Rendering;
+use cosurf_engine::{Rendering, ViewError, Views};
 use cosurf_scene::{Camera, Cast, Picture, View, metrics};
 use tracing::debug_span;
 
 use super::quality::{Quality, Yardsticks};
 use super::surface::SurfaceQuality;
-use crate::views::{ViewError, Views};
 
 /// Scores a model by rendering it from the cameras of photographs.
 pub(crate) struct Judge<'a> {
@@ -75,6 +74,7 @@ impl<'a> Judge<'a> {
 #[cfg(test)]
 mod tests {
     use super::*;
+    use cosurf_engine::{DeviceChoice, Place};
     use cosurf_scene::{Caster, LocalFrame, Mesh, Pose, Splats, ply};
     use glam::{DVec2, DVec3};
 
@@ -110,7 +110,7 @@ mod tests {
         let view = View { name: "grey".into(), camera: from_above(), path };
         let file = folder.path().join("level.ply");
         ply::write(&file, &level, &LocalFrame::WORLD).expect("a file");
-        let model = Views::open(file, &LocalFrame::WORLD, None, 1).expect("a model");
+        let model = Views::open(file, &LocalFrame::WORLD, Place::On(DeviceChoice::Cpu), 1).expect("a model");
         let quality = Judge::new(model, None, &yardsticks).quality(&view).expect("a picture");
         let surface = quality.surface.expect("a surface");
         // Of the three facets in a pixel, two slope in opposite directions and cancel out, so the mean has a third

@@ -3,6 +3,7 @@
 
 use std::path::PathBuf;
 
+use cosurf_engine::{DeviceChoice, Place, ViewError, Views};
 use cosurf_scene::{Dataset, LocalFrame, SceneError, View, ply};
 use serde::{Deserialize, Serialize};
 use tracing::info_span;
@@ -10,7 +11,6 @@ use tracing::info_span;
 use super::judge::Judge;
 use super::quality::{Quality, YardstickError, Yardsticks};
 use crate::terminal::aligned;
-use crate::views::{ViewError, Views};
 
 /// Which model to score, and against what.
 #[derive(Clone, Debug)]
@@ -81,7 +81,8 @@ pub fn evaluate_model(order: &EvalOrder) -> Result<EvalReport, EvalError> {
     let dataset = dataset.into_frame(&frame);
     let (lpips, truth) = (order.lpips.as_deref(), order.truth.as_deref());
     let yardsticks = Yardsticks::read(&order.data, lpips, truth, &frame)?;
-    let model = Views::open(ply::of_model(&order.model)?, &frame, None, order.threads)?;
+    let model =
+        Views::open(ply::of_model(&order.model)?, &frame, Place::On(DeviceChoice::Cpu), order.threads)?;
     let splats = model.splats();
     let mut judge = Judge::new(model, order.max_size_px, &yardsticks);
     let (_, held_out) = dataset.split(order.eval_every);

@@ -2,6 +2,7 @@
 
 use std::path::PathBuf;
 
+use cosurf_engine::ViewError;
 use cosurf_scene::SceneError;
 use cosurf_wire::{DeviceId, IdError};
 use image::ImageError;
@@ -13,7 +14,6 @@ use crate::evaluate::YardstickError;
 use crate::georeference::GeoreferenceError;
 use crate::report::ShowcaseError;
 use crate::service::{BROKER_ATTEMPTS_MAX, ServiceError};
-use crate::views::ViewError;
 
 /// Why a mission did not end with a report.
 #[derive(Debug, thiserror::Error)]

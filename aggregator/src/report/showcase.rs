@@ -1,12 +1,12 @@
 //! Shows a held-out view in pictures: the photograph, the renderings of the model, and their errors.
 
+use cosurf_engine::ViewError;
 use cosurf_scene::{Cast, Caster, Picture, View, colormap};
 use image::ImageError;
 
 use super::embed::Captioned;
 
 use crate::evaluate::{Comparison, Judge, Quality, depth_errors_percent, normal_errors_deg};
-use crate::views::ViewError;
 
 /// Limit on the number of views that the report shows in pictures. They range from the best view to the worst.
 const SHOWCASES: usize = 4;

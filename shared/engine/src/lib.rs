@@ -1,7 +1,8 @@
 //! The engine for Gaussian surfaces: it rasterises splats, compares the renderings with photographs, and optimises the
 //! splats. Two backends, CPU and GPU, compute the same results within a tolerance that the tests check.
 //!
-//! What it knows nothing about: wire formats, clocks, files, command lines.
+//! What it knows nothing about: wire formats, clocks, command lines, and files, except that [`Views`] reads a model that need
+//! not fit into the memory.
 //!
 //! Where to start reading: [`backend`] declares the passes, and in [`train`] a step reads as a list of passes. Then
 //! `layout` has the code that both backends share, [`cpu`] uses SIMD and threads, and `gpu` uses graphics cards.
@@ -30,6 +31,7 @@ pub mod render;
 pub mod schedule;
 mod simd;
 pub mod train;
+mod views;
 
 pub use any::AnyBackend;
 pub use backend::{Backend, Rendering};
@@ -45,3 +47,4 @@ pub use prune::PruneScore;
 pub use render::{Renderer, Seen};
 pub use schedule::Schedule;
 pub use train::{Example, Progress, PruneSettings, SurfaceSettings, TrainSettings, Trainer, TrainingViews};
+pub use views::{Place, ViewError, ViewMemory, Views};

@@ -58,6 +58,16 @@ impl Renderer {
         }
     }
 
+    /// Number of splats.
+    #[cfg(test)]
+    pub(crate) fn splats(&self) -> usize {
+        match &self.painter {
+            Painter::Cpu(painter) => painter.backend.len(),
+            #[cfg(feature = "gpu")]
+            Painter::Gpu(painter, _) => painter.splats().len(),
+        }
+    }
+
     /// Name of the device for people.
     pub fn device(&self) -> String {
         match &self.painter {
