@@ -10,6 +10,7 @@ use std::io::{self, BufRead, BufReader, Read, Write};
 use std::path::{Path, PathBuf};
 
 use anyhow::{Context, Result, bail, ensure};
+use cosurf_contract::Curve;
 use cosurf_engine::{AnyBackend, Backend, DeviceLost, Progress, Schedule, TrainSettings, Trainer};
 use cosurf_scene::{Camera, SceneError, SparsePoint, atomic, files};
 use serde::{Deserialize, Serialize};
@@ -61,6 +62,8 @@ struct Head {
     splats_at_start: usize,
     #[serde(flatten)]
     spent: Spent,
+    #[serde(default)]
+    curve: Curve,
 }
 
 /// Time that a training has taken so far, summed over all runs of the program.
@@ -121,6 +124,11 @@ impl Checkpoint {
         Ok(Some(Self { path, head, body }))
     }
 
+    /// The training curve up to this checkpoint.
+    pub fn curve(&self) -> Curve {
+        self.head.curve.clone()
+    }
+
     /// Time that the training had taken when this checkpoint was written.
     pub fn spent(&self) -> Spent {
         self.head.spent
@@ -179,12 +187,13 @@ impl Checkpoint {
 }
 
 /// Writes the checkpoint of `trainer` into the output folder `out`. `spent` is the time that the training has taken so
-/// far. Fails with [`DeviceLost`] if the device was lost.
+/// far, and `curve` its training curve. Fails with [`DeviceLost`] if the device was lost.
 pub fn write(
     out: &Path,
     fingerprint: &Fingerprint,
     trainer: &Trainer<AnyBackend>,
     spent: Spent,
+    curve: &Curve,
 ) -> Result<()> {
     let _span = debug_span!("checkpoint", step = trainer.steps_done()).entered();
     let path = path(out);
@@ -194,7 +203,9 @@ pub fn write(
     let Progress { steps_done, splats_at_start, splats } = trainer.progress();
     let fingerprint = fingerprint.clone();
     let steps = trainer.settings().schedule.steps;
-    let head = Head { format: FORMAT.into(), fingerprint, steps, steps_done, splats, splats_at_start, spent };
+    let curve = curve.clone();
+    let head =
+        Head { format: FORMAT.into(), fingerprint, steps, steps_done, splats, splats_at_start, spent, curve };
     atomic::write(&path, |file| {
         serde_json::to_writer(&mut *file, &head)?;
         file.write_all(b"\n")?;

@@ -1,6 +1,7 @@
 //! The agent's command line. Each command has a module with its options and its calls into the library.
 
 mod arguments;
+mod curve;
 #[cfg(feature = "gpu")]
 mod devices;
 mod eval;

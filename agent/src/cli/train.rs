@@ -9,7 +9,7 @@ use clap::{Args, ValueEnum};
 use cosurf_agent::checkpoint::{self, Checkpoint, DamagedCheckpoint, Spent};
 use cosurf_agent::session::{Session, Split, TrainPlan};
 use cosurf_agent::{evaluate, outputs};
-use cosurf_contract::{AgentEvent, DEFAULT_STEPS, ReadyReport, Share, TrainReport, counted, usage};
+use cosurf_contract::{AgentEvent, Curve, DEFAULT_STEPS, ReadyReport, Share, TrainReport, counted, usage};
 use cosurf_engine::{
     Backend, DeviceChoice, DeviceLost, PruneScore, PruneSettings, Renderer, SurfaceSettings,
 };
@@ -18,6 +18,7 @@ use cosurf_scene::{FolderLock, Splats, check_space};
 use tracing::info_span;
 
 use super::arguments::{Common, DeviceArgs};
+use super::curve::GrowingCurve;
 use super::host::default_memory;
 use super::paths::resolve_init;
 use super::progress::Progress;
@@ -196,6 +197,8 @@ fn train_on(
 ) -> Result<TrainReport> {
     let found = if *resumes { Checkpoint::find(out)? } else { None };
     let before = found.as_ref().map(Checkpoint::spent).unwrap_or_default();
+    let curve = found.as_ref().map(Checkpoint::curve).unwrap_or_default();
+    let mut curve = GrowingCurve::on(curve, plan.steps);
     let mut session = Session::start(plan, found)?;
     check_disk(&session, out)?;
     let (started, cpu_s) = (Instant::now(), usage::cpu_seconds());
@@ -217,30 +220,37 @@ fn train_on(
     while !session.trainer().is_done() {
         let outcome = session.step()?;
         let steps_done = session.trainer().steps_done();
+        curve.step(steps_done, outcome.loss.psnr());
         progress.step(steps_done, plan.steps, &outcome, session.trainer().backend().len());
         let is_due = steps_done.is_multiple_of(checkpoint_every)
             && saved_at.elapsed().mul_f64(CHECKPOINT_SHARE) >= saving;
         if is_due && !session.trainer().is_done() {
             let start = Instant::now();
-            checkpoint::write(out, session.fingerprint(), session.trainer(), spent())?;
+            checkpoint::write(out, session.fingerprint(), session.trainer(), spent(), curve.curve())?;
             (saved_at, saving) = (Instant::now(), start.elapsed());
             *resumes = true;
         }
         if stoppable.is_asked() && !session.trainer().is_done() {
-            checkpoint::write(out, session.fingerprint(), session.trainer(), spent())?;
+            checkpoint::write(out, session.fingerprint(), session.trainer(), spent(), curve.curve())?;
             bail!("stopped at step {steps_done} of {}; run the same command again to go on", plan.steps);
         }
     }
     drop((span, stoppable));
     let spent = spent();
-    checkpoint::write(out, session.fingerprint(), session.trainer(), spent)?;
-    let report = finish(plan, session, out, spent)?;
+    checkpoint::write(out, session.fingerprint(), session.trainer(), spent, curve.curve())?;
+    let report = finish(plan, session, out, spent, curve.curve())?;
     progress.show(&AgentEvent::Trained { report: report.clone() });
     Ok(report)
 }
 
 /// Scores the trained model on the held-out views, and writes model, cameras and report into `out`.
-fn finish(plan: &TrainPlan, session: Session, out: &Path, spent: Spent) -> Result<TrainReport> {
+fn finish(
+    plan: &TrainPlan,
+    session: Session,
+    out: &Path,
+    spent: Spent,
+    curve: &Curve,
+) -> Result<TrainReport> {
     let given_up = session.given_up();
     let (frame, cameras, held_out, size_px) =
         (session.frame(), session.cameras().to_vec(), session.held_out().to_vec(), session.size_px());
@@ -271,6 +281,7 @@ fn finish(plan: &TrainPlan, session: Session, out: &Path, spent: Spent) -> Resul
         held_out: held_out.len(),
         size_px,
         given_up,
+        curve: curve.clone(),
     };
     outputs::write(out, &splats, &cameras, &frame, &report)?;
     Ok(report)

@@ -1,12 +1,8 @@
 //! The status of each agent of a mission, gathered from the agent's events.
 
-use cosurf_contract::{AgentEvent, TrainReport};
+use cosurf_contract::{AgentEvent, Curve, TrainReport};
 
 use super::agents::{ProcessEventKind, RESTARTS_MAX};
-
-/// Largest number of points of a training curve. When a curve would become longer, every other point is
-/// dropped.
-const CURVE_POINTS_MAX: usize = 256;
 
 /// The phase of an agent's work.
 #[derive(Clone, Debug, Default, PartialEq)]
@@ -47,8 +43,8 @@ pub(crate) struct Status {
     pub(crate) restarts: u32,
     /// Report of the training; `None` until the training is done.
     pub(crate) training: Option<TrainReport>,
-    /// Training curve: `[step, PSNR in dB]`, in the order of steps.
-    pub(crate) curve: Vec<[f32; 2]>,
+    /// Training curve of the steps that this process saw.
+    pub(crate) curve: Curve,
 }
 
 impl Status {
@@ -80,7 +76,7 @@ impl Status {
             AgentEvent::Progress { step, steps, psnr, splats, steps_per_s, seconds_left } => {
                 (self.step, self.steps, self.psnr, self.splats) = (*step, *steps, *psnr, *splats);
                 (self.steps_per_s, self.seconds_left) = (*steps_per_s, *seconds_left);
-                self.extend_curve(*step, *psnr);
+                self.curve.push(*step, *psnr);
             }
             AgentEvent::ViewsChosen { .. }
             | AgentEvent::Ready { .. }
@@ -118,25 +114,6 @@ impl Status {
         }
         None
     }
-
-    /// Appends a point to the training curve, unless the PSNR is not finite. A restarted agent resumes from an
-    /// earlier step, so the points from `step` on are dropped first.
-    fn extend_curve(&mut self, step: u32, psnr: f32) {
-        let step = step as f32;
-        while self.curve.last().is_some_and(|last| last[0] >= step) {
-            self.curve.pop();
-        }
-        if self.curve.len() >= CURVE_POINTS_MAX {
-            let mut index = 0;
-            self.curve.retain(|_| {
-                index += 1;
-                index % 2 == 0
-            });
-        }
-        if psnr.is_finite() {
-            self.curve.push([step, psnr]);
-        }
-    }
 }
 
 #[cfg(test)]
@@ -163,18 +140,7 @@ mod tests {
         let restart = ProcessEventKind::Restarting { attempt: 1, reason: "signal: 9".into() };
         assert!(status.take(&restart).is_some_and(|line| line.contains("restart 1 of 5")));
         status.take(&progress(150));
-        let steps: Vec<f32> = status.curve.iter().map(|point| point[0]).collect();
+        let steps: Vec<f32> = status.curve.points().iter().map(|point| point[0]).collect();
         assert_eq!((steps, status.restarts), (vec![100.0, 150.0], 1));
-    }
-
-    #[test]
-    fn a_long_curve_stays_short_and_keeps_its_end() {
-        let mut status = Status::default();
-        (1..=5000).for_each(|step| {
-            status.take(&progress(step));
-        });
-        assert!(status.curve.len() <= CURVE_POINTS_MAX, "{}", status.curve.len());
-        assert_eq!(status.curve.last().map(|point| point[0]), Some(5000.0));
-        assert!(status.curve.is_sorted_by(|a, b| a[0] < b[0]));
     }
 }

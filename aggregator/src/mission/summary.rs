@@ -34,7 +34,8 @@ pub(crate) fn summarize(
                 Phase::Failed { reason } => Some(reason.clone()),
                 _ => None,
             },
-            curve: status.curve.clone(),
+            // The agent's own has the beginning too, if the mission was started again.
+            curve: status.training.as_ref().map_or(&status.curve, |training| &training.curve).clone(),
         }
     };
     let agents: Vec<AgentSummary> = board.iter().enumerate().map(agent).collect();

@@ -2,7 +2,7 @@
 
 use std::path::PathBuf;
 
-use cosurf_contract::TrainReport;
+use cosurf_contract::{Curve, TrainReport};
 use serde::{Deserialize, Serialize};
 
 use crate::evaluate::Quality;
@@ -43,9 +43,8 @@ pub struct AgentSummary {
     pub in_global: Option<Quality>,
     /// Why the agent failed; absent if it did not.
     pub failure: Option<String>,
-    /// The training curve: points `[step, PSNR in dB]`. Each PSNR is a mean over the latest training
-    /// pictures.
-    pub curve: Vec<[f32; 2]>,
+    /// The training curve, over all runs.
+    pub curve: Curve,
 }
 
 /// The figures of one edge aggregator.

@@ -151,7 +151,7 @@ fn ground(html: &mut String, report: &MissionReport, drawings: &Drawings) {
         let _ = write!(html, "{}{} &ensp;", dot(i), escape(&agent.device));
     }
     html.push_str("Dot: footprint centre of a training view; ring: that of a held-out view.</p></section>\n");
-    let curves: Vec<&[[f32; 2]]> = report.agents.iter().map(|agent| agent.curve.as_slice()).collect();
+    let curves: Vec<&[[f32; 2]]> = report.agents.iter().map(|agent| agent.curve.points()).collect();
     if let Some(svg) = chart::draw(&curves) {
         let _ = write!(
             html,

@@ -97,7 +97,7 @@ pub(super) fn merge_remarks(merging: &Merging) -> impl Iterator<Item = String> {
 #[cfg(test)]
 pub(crate) mod tests {
     #![allow(clippy::unwrap_used)]
-    use cosurf_contract::TrainReport;
+    use cosurf_contract::{Curve, TrainReport};
 
     use super::super::figures::{AgentSummary, MeshSummary, WholeSummary};
     use super::*;
@@ -122,6 +122,8 @@ pub(crate) mod tests {
 
     /// The report of a mission of two agents, one of which failed.
     pub(crate) fn example() -> MissionReport {
+        let mut curve = Curve::default();
+        [(100, 15.0), (600, 25.0)].into_iter().for_each(|(step, psnr)| curve.push(step, psnr));
         let training = TrainReport {
             steps: 600,
             seconds: 61.0,
@@ -137,6 +139,7 @@ pub(crate) mod tests {
             held_out: 2,
             size_px: [320, 240],
             given_up: vec!["pictures were shrunk to 160 px".into()],
+            curve: curve.clone(),
         };
         let good = AgentSummary {
             device: "agent-1".into(),
@@ -147,7 +150,7 @@ pub(crate) mod tests {
             restarts: 1,
             in_global: Some(quality(23.0)),
             failure: None,
-            curve: vec![[100.0, 15.0], [600.0, 25.0]],
+            curve,
         };
         let failed = AgentSummary {
             device: "agent-2".into(),
@@ -156,7 +159,7 @@ pub(crate) mod tests {
             restarts: 0,
             in_global: None,
             failure: Some("no images in <x> & \"y\"".into()),
-            curve: Vec::new(),
+            curve: Curve::default(),
             ..good.clone()
         };
         MissionReport {

@@ -45,6 +45,7 @@
 //! ```
 
 pub mod config;
+mod curve;
 pub mod log;
 mod password;
 pub mod report;
@@ -57,6 +58,7 @@ pub use config::{
     AgentConfig, AgentLink, ConfigError, DEFAULT_FLIGHTS_MAX, DEFAULT_STEPS, amount, parse_toml,
 };
 pub use cosurf_link::TlsFiles;
+pub use curve::Curve;
 pub use log::{LogError, LogFormat};
 pub use password::{PasswordError, read_password};
 pub use report::{

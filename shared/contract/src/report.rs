@@ -7,6 +7,8 @@ use std::path::PathBuf;
 use cosurf_wire::ModelId;
 use serde::{Deserialize, Serialize};
 
+use crate::Curve;
+
 /// One line of an agent's standard output under `--json`.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 #[serde(tag = "event", rename_all = "snake_case")]
@@ -278,6 +280,9 @@ pub struct TrainReport {
     pub size_px: [u32; 2],
     /// The reductions that the memory limit forced, one line of text each; empty if there were none.
     pub given_up: Vec<String>,
+    /// The training curve, over all runs.
+    #[serde(default)]
+    pub curve: Curve,
 }
 
 /// A stage of making a dataset from photographs.
