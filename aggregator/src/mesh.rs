@@ -2,16 +2,16 @@
 //! (Curless and Levoy 1996; blocks as in Nießner et al. 2013), then extracts triangles by marching cubes.
 //!
 //! A first pass over smaller pictures determines the size of voxels and finds the blocks that the surface passes
-//! through. Then all blocks are allocated at once, and the views are fused into them one after the other. Each view is
-//! fused into all blocks in parallel, so the mesh has the same bytes for any number of threads. If the memory is too
-//! small for the wanted voxels, the voxels become larger. [`mesh_model`] refuses a memory limit that is too small for
-//! any mesh.
+//! through. Then as many blocks as fit are allocated at once, the views are fused into them one after the other, and their
+//! triangles are added to the mesh; then the next blocks. Each view is fused into all blocks in parallel, so the mesh has
+//! the same bytes for any number of threads, and for any division of the blocks. If the memory is too small for the mesh
+//! with the wanted voxels, the voxels become larger. [`mesh_model`] refuses a memory limit that is too small for any mesh.
 //!
-//! What it knows nothing about: how views are rendered. [`fuse()`] takes a function that returns a
-//! [`cosurf_engine::Rendering`] for a camera; only [`mesh_model`] knows a renderer.
+//! What it knows nothing about: how views are rendered. [`fuse()`] takes a [`Painter`]; only [`mesh_model`] knows a
+//! renderer.
 //!
-//! Where to start reading: [`fuse()`], then `volume` and `extract`. [`mesh_model`] renders a splat model and fuses the
-//! renderings.
+//! Where to start reading: [`fuse()`], then `volume`, `extract` and `parts`. [`mesh_model`] renders a splat model and fuses
+//! the renderings.
 
 mod budget;
 mod cases;
@@ -22,6 +22,8 @@ mod extract;
 mod frame;
 mod fuse;
 mod model;
+mod painter;
+mod parts;
 mod scout;
 #[cfg(test)]
 mod tests;
@@ -30,4 +32,6 @@ mod volume;
 pub use error::MeshError;
 pub use event::{FuseEvent, Stage};
 pub use fuse::{FuseSettings, Fused, fuse};
-pub use model::{check_memory, mesh_model};
+pub(crate) use model::check_memory;
+pub use model::{mesh_file, mesh_model};
+pub use painter::Painter;

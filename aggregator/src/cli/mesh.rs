@@ -9,7 +9,7 @@ use std::time::Instant;
 use anyhow::{Result, bail};
 use clap::Args;
 use cosurf_aggregator::Meter;
-use cosurf_aggregator::mesh::{FuseSettings, Fused, check_memory, mesh_model};
+use cosurf_aggregator::mesh::{FuseSettings, Fused, mesh_file};
 use cosurf_contract::counted;
 use cosurf_scene::bytes::{format_bytes, parse_bytes};
 use cosurf_scene::{Dataset, LocalFrame, ply};
@@ -33,8 +33,8 @@ pub(crate) struct MeshArgs {
     /// Edge length of a voxel, metres [default: median length that a pixel covers on the surface]
     #[arg(long, value_name = "M", value_parser = parse_length)]
     voxel: Option<f64>,
-    /// Memory limit, for example 500MiB; if it is too small, pictures become smaller and voxels larger. A line on
-    /// standard error reports larger voxels
+    /// Memory limit, for example 500MiB; with less, the model is read and the surface fused in several parts. If it is too
+    /// small for the mesh, voxels become larger, which a line on standard error reports
     #[arg(long, value_name = "BYTES", default_value = "2GiB", value_parser = parse_bytes)]
     memory: u64,
     /// Render pictures whose long side is at most this many pixels [default: the cameras' size]
@@ -55,15 +55,12 @@ pub(crate) fn run(args: &MeshArgs) -> Result<()> {
     let frame = LocalFrame::of(cameras.iter());
     cameras.iter_mut().for_each(|camera| *camera = frame.local_camera(camera));
     let model = ply::of_model(&args.model)?;
-    let (splats, sh_degree) = ply::size(&model)?;
-    check_memory(splats, sh_degree, &cameras, args.max_size, args.memory)?;
-    let splats = ply::read(&model, &frame)?;
     let voxel_m = args.voxel.map(|voxel_m| voxel_m / frame.unit());
     let settings = FuseSettings { voxel_m, memory_bytes: args.memory };
     let threads = available_parallelism().map_or(1, usize::from);
     let begun = Instant::now();
     let mut meter = Meter::new(display(args.json));
-    let fused = mesh_model(splats, &cameras, args.max_size, &settings, threads, |event| {
+    let fused = mesh_file(model, &frame, &cameras, args.max_size, &settings, threads, |event| {
         meter.show_fusion(event, begun.elapsed().as_secs_f64());
         ControlFlow::Continue(())
     })?;
@@ -74,13 +71,13 @@ pub(crate) fn run(args: &MeshArgs) -> Result<()> {
 }
 
 fn print(args: &MeshArgs, fused: &Fused, seconds: f64) -> Result<()> {
-    let Fused { mesh, voxel_m, pixel_m, blocks, peak_bytes } = fused;
+    let Fused { mesh, voxel_m, pixel_m, blocks, parts, peak_bytes } = fused;
     let mut stdout = io::stdout().lock();
     let (vertices, triangles) = (mesh.positions.len(), mesh.triangles.len());
     if args.json {
         let line = serde_json::json!({
             "event": "mesh", "vertices": vertices, "triangles": triangles, "voxel_m": voxel_m,
-            "pixel_m": pixel_m, "blocks": blocks, "peak_bytes": peak_bytes, "seconds": seconds,
+            "pixel_m": pixel_m, "blocks": blocks, "parts": parts, "peak_bytes": peak_bytes, "seconds": seconds,
         });
         writeln!(stdout, "{line}")?;
         return Ok(());

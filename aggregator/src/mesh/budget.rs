@@ -8,6 +8,9 @@ use super::volume::STORED_BLOCK_BYTES;
 
 /// Bytes that a block takes in the volume and in the extraction of triangles.
 pub(super) const BLOCK_BYTES: u64 = STORED_BLOCK_BYTES + LAYOUT_BYTES as u64;
+/// Part of the memory that remains for the blocks that are fused at the same time, if there are as many blocks as possible.
+/// With less, more views would be rendered several times.
+const PART_SHARE: u64 = 4;
 /// Bytes reserved for the mesh per block. A block on the surface has about 80 vertices and twice as many
 /// triangles, and every second or third block is on the surface. If the mesh of a rough surface takes more,
 /// the fusion starts over with larger voxels.
@@ -15,6 +18,8 @@ const MESH_BYTES_PER_BLOCK: u64 = 2_500;
 /// Bytes per block while blocks are searched for: the hash set of their keys, which doubles its capacity when
 /// it is full.
 const SEARCH_BYTES_PER_BLOCK: u64 = 40;
+/// Bytes that a block takes beside those in the volume: its key, and the triangles in it.
+const MESHED_BLOCK_BYTES: u64 = MESH_BYTES_PER_BLOCK + SEARCH_BYTES_PER_BLOCK;
 /// Bytes per pixel, beside its [`Texel`], while blocks are searched for. With voxels as large as pixels, the
 /// search renders at half the width and height, so it has a quarter of the pixels. Each pixel gives the keys
 /// of up to eight blocks, which are held twice while they are gathered.
@@ -27,7 +32,7 @@ const BLOCKS_LEAST: u64 = 64;
 pub(super) struct VolumeBudget {
     /// Limit on the number of blocks.
     pub(super) blocks_max: usize,
-    /// Bytes for the blocks and the mesh together.
+    /// Bytes for the blocks that are fused at the same time and the mesh together.
     pub(super) volume_bytes: u64,
 }
 
@@ -35,9 +40,15 @@ impl VolumeBudget {
     /// Divides the memory between the view being fused and the volume.
     pub(super) fn new(memory_bytes: u64, cameras: &[Camera]) -> Self {
         let volume_bytes = memory_bytes.saturating_sub(frame_bytes(cameras));
-        let per_block = BLOCK_BYTES + MESH_BYTES_PER_BLOCK + SEARCH_BYTES_PER_BLOCK;
-        let blocks_max = (volume_bytes / per_block).max(BLOCKS_LEAST);
-        Self { blocks_max: blocks_max as usize, volume_bytes: blocks_max * per_block }
+        let volume_bytes = volume_bytes.max(BLOCKS_LEAST * (BLOCK_BYTES + MESHED_BLOCK_BYTES));
+        let blocks_max = (volume_bytes - volume_bytes / PART_SHARE) / MESHED_BLOCK_BYTES;
+        Self { blocks_max: blocks_max as usize, volume_bytes }
+    }
+
+    /// Number of blocks that may be fused at the same time if there are `blocks` in all.
+    pub(super) fn part_max(&self, blocks: usize) -> usize {
+        let left = self.volume_bytes.saturating_sub(blocks as u64 * MESHED_BLOCK_BYTES);
+        (left / BLOCK_BYTES) as usize
     }
 }
 
@@ -49,6 +60,5 @@ pub(super) fn frame_bytes(cameras: &[Camera]) -> u64 {
 
 /// The smallest memory limit that [`super::fuse()`] can keep, bytes.
 pub(super) fn least_bytes(cameras: &[Camera]) -> u64 {
-    let per_block = BLOCK_BYTES + MESH_BYTES_PER_BLOCK + SEARCH_BYTES_PER_BLOCK;
-    frame_bytes(cameras) + BLOCKS_LEAST * per_block
+    frame_bytes(cameras) + BLOCKS_LEAST * (BLOCK_BYTES + MESHED_BLOCK_BYTES)
 }

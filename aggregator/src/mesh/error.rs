@@ -1,5 +1,8 @@
 //! Why there is no mesh.
 
+use cosurf_engine::ViewError;
+use cosurf_scene::SceneError;
+
 /// Why there is no mesh.
 #[derive(Debug, thiserror::Error)]
 #[non_exhaustive]
@@ -17,6 +20,12 @@ pub enum MeshError {
         "the views agree on no surface, only on small pieces; use more views, or larger voxels (--voxel)"
     )]
     NoAgreement,
+    /// The model cannot be read.
+    #[error(transparent)]
+    Scene(#[from] SceneError),
+    /// A picture cannot be rendered.
+    #[error(transparent)]
+    View(ViewError),
     /// The caller has stopped the fusion.
     #[error("the mesh was not made: the program was asked to end")]
     Stopped,

@@ -1,13 +1,14 @@
-//! Marching cubes over the blocks, in two passes. The first pass counts vertices and triangles, so that the
-//! mesh is allocated at its final size. The second pass writes the triangles of each block into the block's
-//! own range of the mesh.
+//! Marching cubes over the blocks, one volume after the other, each in two passes. The first pass counts vertices and
+//! triangles, so that the mesh grows once. The second pass writes the triangles of each block into the block's own range of
+//! the mesh. A triangle at the border of a volume has vertices in blocks of a later one; they are filled in then. So the mesh
+//! has the same bytes for any division into volumes.
 
 use cosurf_scene::Mesh;
 use glam::{DVec3, IVec3};
 use rayon::prelude::*;
 
 use super::cases::{EDGE_STARTS, cases};
-use super::volume::{SIDE, VOXELS, Volume, Voxel};
+use super::volume::{Key, SIDE, VOXELS, Volume, Voxel};
 
 /// Number of samples along the edge of a block, including the first sample of the next block.
 const WIDE: usize = SIDE + 1;
@@ -43,18 +44,21 @@ impl BlockLayout {
     }
 }
 
-/// The ranges of the mesh into which the blocks write.
+/// The ranges of the mesh into which the blocks of a volume write.
 #[derive(Debug)]
 pub(super) struct Layout {
+    /// The first blocks of the volume; those after them only border on them.
     blocks: Vec<BlockLayout>,
+    /// Number of vertices of the mesh, with those of these blocks.
     vertices: u64,
+    /// Number of triangles of the mesh, with those of these blocks.
     triangles: u64,
 }
 
 impl Layout {
-    /// Counts the vertices and triangles of all blocks.
-    pub(super) fn new(volume: &Volume) -> Self {
-        let mut blocks = vec![BlockLayout::default(); volume.len()];
+    /// Counts the vertices and triangles of the first `own` blocks, which follow those of `mesh`.
+    pub(super) fn new(volume: &Volume, own: usize, mesh: &Mesh) -> Self {
+        let mut blocks = vec![BlockLayout::default(); own];
         let triangles: Vec<u32> = blocks
             .par_iter_mut()
             .zip(volume.keys())
@@ -66,7 +70,7 @@ impl Layout {
                 triangles
             })
             .collect();
-        let mut sums = (0u64, 0u64);
+        let mut sums = (mesh.positions.len() as u64, mesh.triangles.len() as u64);
         for (block, triangles) in blocks.iter_mut().zip(&triangles) {
             // These casts may overflow, but `fits_indices` refuses such a large mesh before the indices are
             // used.
@@ -76,7 +80,14 @@ impl Layout {
         Self { blocks, vertices: sums.0, triangles: sums.1 }
     }
 
-    /// Bytes of the layout and of the mesh.
+    /// Index, in the mesh, of a vertex that an earlier volume asked for; `None` if its block is not among these.
+    fn vertex_of(&self, volume: &Volume, corner: &Pending) -> Option<u32> {
+        let block = self.blocks.get(volume.find(corner.block.block())?)?;
+        let [x, y, z, axis] = corner.edge.map(usize::from);
+        Some(block.vertex([x, y, z], axis))
+    }
+
+    /// Bytes of the layout, and of the mesh with these blocks.
     pub(super) fn bytes(&self) -> u64 {
         (self.blocks.len() * LAYOUT_BYTES) as u64
             + self.vertices * VERTEX_BYTES
@@ -89,29 +100,73 @@ impl Layout {
     }
 }
 
-/// Makes the mesh, without normals. Some vertices may belong to no triangle.
-pub(super) fn extract(volume: &Volume, layout: &Layout) -> Mesh {
-    let vertices = layout.vertices as usize;
-    let mut mesh = Mesh {
-        positions: vec![[0.0; 3]; vertices],
-        rgb: vec![[0; 3]; vertices],
-        triangles: vec![[0; 3]; layout.triangles as usize],
-        ..Mesh::default()
-    };
-    let firsts = |of: fn(&BlockLayout) -> u32| layout.blocks.iter().map(move |block| of(block) as usize);
-    let positions = split(&mut mesh.positions, firsts(|block| block.first_vertex));
-    let rgb = split(&mut mesh.rgb, firsts(|block| block.first_vertex));
-    let triangles = split(&mut mesh.triangles, firsts(|block| block.first_triangle));
-    let outputs: Vec<_> = positions.into_iter().zip(rgb).zip(triangles).collect();
-    volume.keys().par_iter().zip(&layout.blocks).zip(outputs).for_each(|((key, block), out)| {
-        if out.0.0.is_empty() && out.1.is_empty() {
-            return;
-        }
-        let samples = Samples::gather(volume, key.block());
-        write_vertices(volume, &samples, block, out.0.0, out.0.1);
-        write_triangles(&samples, layout, out.1);
-    });
-    mesh
+/// A mesh that grows volume by volume, without normals. Some vertices may belong to no triangle.
+#[derive(Debug, Default)]
+pub(super) struct Extraction {
+    pub(super) mesh: Mesh,
+    pending: Vec<Pending>,
+}
+
+/// A corner of a triangle whose vertex belongs to a block of a later volume.
+#[derive(Debug)]
+struct Pending {
+    /// The vertex's block.
+    block: Key,
+    /// The vertex's edge: the voxel `[x, y, z]` of the block at which it starts, and its axis.
+    edge: [u8; 4],
+    /// Index of the triangle in the mesh.
+    triangle: u32,
+    /// Index of the corner, 0..3.
+    corner: u8,
+}
+
+impl Extraction {
+    /// Bytes of the notes about vertices of later volumes.
+    pub(super) fn pending_bytes(&self) -> u64 {
+        (self.pending.capacity() * size_of::<Pending>()) as u64
+    }
+
+    /// Adds the blocks of a volume that `layout` has counted. They must follow those of all volumes before.
+    pub(super) fn add(&mut self, volume: &Volume, layout: &Layout) {
+        let Self { mesh, pending } = self;
+        let (vertices, triangles) = (mesh.positions.len(), mesh.triangles.len());
+        let (more_vertices, more_triangles) =
+            (layout.vertices as usize - vertices, layout.triangles as usize - triangles);
+        grow(&mut mesh.positions, more_vertices);
+        grow(&mut mesh.rgb, more_vertices);
+        grow(&mut mesh.triangles, more_triangles);
+        pending.retain(|corner| {
+            let vertex = layout.vertex_of(volume, corner);
+            if let Some(vertex) = vertex {
+                mesh.triangles[corner.triangle as usize][usize::from(corner.corner)] = vertex;
+            }
+            vertex.is_none()
+        });
+        let firsts = |of: fn(&BlockLayout) -> u32, before: usize| {
+            layout.blocks.iter().map(move |block| of(block) as usize - before)
+        };
+        let first_vertex = |block: &BlockLayout| block.first_vertex;
+        let positions = split(&mut mesh.positions[vertices..], firsts(first_vertex, vertices));
+        let rgb = split(&mut mesh.rgb[vertices..], firsts(first_vertex, vertices));
+        let own = split(&mut mesh.triangles[triangles..], firsts(|block| block.first_triangle, triangles));
+        let outputs: Vec<_> = positions.into_iter().zip(rgb).zip(own).collect();
+        let later =
+            volume.keys().par_iter().zip(&layout.blocks).zip(outputs).flat_map_iter(|((key, block), out)| {
+                if out.0.0.is_empty() && out.1.is_empty() {
+                    return Vec::new();
+                }
+                let samples = Samples::gather(volume, key.block());
+                write_vertices(volume, &samples, block, out.0.0, out.0.1);
+                write_triangles(&samples, layout, block.first_triangle, out.1)
+            });
+        pending.par_extend(later);
+    }
+}
+
+/// Appends zeros, without room for more.
+fn grow<const N: usize, T: Copy + Default>(list: &mut Vec<[T; N]>, more: usize) {
+    list.reserve_exact(more);
+    list.resize(list.len() + more, [T::default(); N]);
 }
 
 /// Splits a slice into parts that start at `firsts`. The first start must be 0.
@@ -167,23 +222,32 @@ fn mix_colors(a: &Voxel, b: &Voxel, t: f32) -> [u8; 3] {
     [0, 1, 2].map(|c| ((a[c] * a_share + b[c] * b_share) / whole + 0.5) as u8)
 }
 
-fn write_triangles(samples: &Samples, layout: &Layout, out: &mut [[u32; 3]]) {
-    let mut out = out.iter_mut();
+/// Writes the triangles of a block, of which `first` is the index of the first. Returns the corners that belong to blocks of
+/// later volumes.
+fn write_triangles(samples: &Samples, layout: &Layout, first: u32, out: &mut [[u32; 3]]) -> Vec<Pending> {
+    let mut later = Vec::new();
+    let mut out = (first..).zip(out);
     samples.for_each_cell(|cell, case| {
-        for triangle in &cases()[case].triangles {
-            if let Some(out) = out.next() {
-                *out = triangle.map(|edge| {
-                    let axis = usize::from(edge) / 4;
-                    let start = EDGE_STARTS[usize::from(edge)];
-                    let voxel = corner_of(cell, start);
-                    let owner = samples.blocks[owner_of(voxel)].map(|index| &layout.blocks[index]);
-                    // `for_each_cell` visits only cells whose corners are all measured, so the block of every
-                    // corner exists.
-                    owner.map_or(0, |block| block.vertex(voxel.map(|v| v % SIDE), axis))
-                });
+        for edges in &cases()[case].triangles {
+            let Some((triangle, out)) = out.next() else { return };
+            for ((corner, edge), vertex) in (0..).zip(edges).zip(out) {
+                let axis = usize::from(*edge) / 4;
+                let voxel = corner_of(cell, EDGE_STARTS[usize::from(*edge)]);
+                // `for_each_cell` visits only cells whose corners are all measured, so the block of every corner
+                // exists.
+                let Some(owner) = samples.blocks[owner_of(voxel)] else { continue };
+                let [x, y, z] = voxel.map(|v| v % SIDE);
+                match layout.blocks.get(owner) {
+                    Some(block) => *vertex = block.vertex([x, y, z], axis),
+                    None => {
+                        let (block, edge) = (samples.volume.keys()[owner], [x, y, z, axis].map(|v| v as u8));
+                        later.push(Pending { block, edge, triangle, corner });
+                    }
+                }
             }
         }
     });
+    later
 }
 
 fn corner_of([x, y, z]: [usize; 3], corner: usize) -> [usize; 3] {

@@ -40,21 +40,26 @@ pub(super) struct Frame {
 }
 
 impl Frame {
-    /// Decides which pixels of a rendering are trusted. A pixel that covers more than `pixel_most_m` (world units,
-    /// across the line of sight) is not trusted.
-    pub(super) fn new(camera: &Camera, rendering: &Rendering, pixel_most_m: f64) -> Self {
-        let size_px = rendering.size_px.map(|side| side as usize);
+    /// The view of a camera, without pixels.
+    pub(super) fn of(camera: &Camera) -> Self {
         let pose = camera.cam_from_world;
-        let mut frame = Self {
+        Self {
             center: pose.center(),
             rotation: Mat3::from_quat(pose.rotation.as_quat()),
             focal_px: camera.focal_px.as_vec2(),
             center_px: camera.center_px.as_vec2(),
-            size_px,
-            texels: vec![Texel::default(); size_px[0] * size_px[1]],
-        };
+            size_px: camera.size_px.map(|side| side as usize),
+            texels: Vec::new(),
+        }
+    }
+
+    /// Decides which pixels of a rendering are trusted. A pixel that covers more than `pixel_most_m` (world units,
+    /// across the line of sight) is not trusted.
+    pub(super) fn new(camera: &Camera, rendering: &Rendering, pixel_most_m: f64) -> Self {
+        let mut frame = Self::of(camera);
+        let size_px = frame.size_px;
         let depth_most_m = (pixel_most_m * camera.focal_px.min_element()) as f32;
-        let mut texels = std::mem::take(&mut frame.texels);
+        let mut texels = vec![Texel::default(); size_px[0] * size_px[1]];
         texels.par_chunks_mut(size_px[0]).enumerate().for_each(|(y, row)| {
             for (x, texel) in row.iter_mut().enumerate() {
                 *texel = frame.judge(rendering, depth_most_m, [x, y]);

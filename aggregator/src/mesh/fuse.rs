@@ -1,8 +1,8 @@
-//! The fusion: runs its stages, and repeats them with larger voxels until the mesh fits into the memory.
+//! The fusion: runs its stages, and repeats them with larger voxels until the mesh fits into the memory. If the volume does
+//! not fit, its blocks are fused in several parts, one after the other, to the same mesh.
 
 use std::ops::ControlFlow;
 
-use cosurf_engine::Rendering;
 use cosurf_scene::{Camera, LocalFrame, Mesh};
 use tracing::debug_span;
 
@@ -10,10 +10,12 @@ use super::budget::VolumeBudget;
 use super::clean;
 use super::error::MeshError;
 use super::event::{FuseEvent, Stage};
-use super::extract::{self, Layout};
+use super::extract::{Extraction, Layout};
 use super::frame::Frame;
+use super::painter::Painter;
+use super::parts;
 use super::scout::{self, PixelSize};
-use super::volume::Volume;
+use super::volume::{Key, Volume};
 
 /// Factor by which voxels grow if the memory is too small. The surface then passes through 0.63 times as many
 /// blocks.
@@ -38,9 +40,11 @@ pub struct Fused {
     pub voxel_m: f64,
     /// Size of a pixel at the depth of the surface, world units; the median over the views.
     pub pixel_m: f64,
-    /// Number of blocks in the volume; each has 8³ voxels.
+    /// Number of blocks; each has 8³ voxels.
     pub blocks: usize,
-    /// Largest number of bytes that the volume and the mesh took together.
+    /// Number of parts that the blocks were fused in.
+    pub parts: usize,
+    /// Largest number of bytes that the volume of a part and the mesh took together.
     pub peak_bytes: u64,
 }
 
@@ -53,17 +57,17 @@ impl Fused {
     }
 }
 
-/// Fuses the renderings that `render` returns for the cameras into a mesh. The fusion skips these pixels:
+/// Fuses the renderings that `painter` makes for the cameras into a mesh. The fusion skips these pixels:
 /// - pixels whose alpha or depth shows no surface;
 /// - pixels of which no neighbour in the row, or none in the column, shows a surface;
 /// - pixels that see the surface at a grazing angle;
 /// - pixels so far away that they cover more than four times the usual size.
 ///
 /// By default, a voxel is as large as a pixel on the surface in the median view. Voxels become larger if
-/// they take too much memory. If `on_event` returns `Break`, the fusion ends with [`MeshError::Stopped`].
+/// the mesh takes too much memory; how much memory there is changes nothing else. If `on_event` returns `Break`, the fusion ends with [`MeshError::Stopped`].
 pub fn fuse(
     cameras: &[Camera],
-    mut render: impl FnMut(&Camera) -> Rendering,
+    mut painter: impl Painter,
     settings: &FuseSettings,
     mut on_event: impl FnMut(FuseEvent) -> ControlFlow<()>,
 ) -> Result<Fused, MeshError> {
@@ -75,13 +79,13 @@ pub fn fuse(
         return Err(MeshError::NoCameras);
     }
     let budget = VolumeBudget::new(settings.memory_bytes, cameras);
-    let pixel_m = scout::pixel_m(cameras, &mut render, &mut on_event)?.ok_or(MeshError::NoSurface)?;
+    let pixel_m = scout::pixel_m(cameras, &mut painter, &mut on_event)?.ok_or(MeshError::NoSurface)?;
     let pixel = PixelSize { usual_m: pixel_m, most_m: scout::FARTHEST * pixel_m };
     let wanted_m = settings.voxel_m.unwrap_or(pixel_m);
     let mut voxel_m = wanted_m;
     loop {
         let stages = Stages { cameras, pixel, voxel_m, budget };
-        match stages.run(&mut render, &mut on_event)? {
+        match stages.run(&mut painter, &mut on_event)? {
             Some(fused) => return Ok(fused),
             None => voxel_m *= COARSER,
         }
@@ -98,40 +102,65 @@ struct Stages<'a> {
 }
 
 impl Stages<'_> {
-    /// Runs all stages. Returns `None` if the volume or the mesh takes too much memory.
+    /// Runs all stages. Returns `None` if the mesh takes too much memory.
     fn run(
         &self,
-        render: &mut impl FnMut(&Camera) -> Rendering,
+        painter: &mut impl Painter,
         on_event: &mut impl FnMut(FuseEvent) -> Result<(), MeshError>,
     ) -> Result<Option<Fused>, MeshError> {
         let Self { cameras, pixel, voxel_m, budget } = *self;
-        let find = || scout::find_blocks(cameras, render, pixel, voxel_m, budget.blocks_max, on_event);
+        let find = || scout::find_blocks(cameras, painter, pixel, voxel_m, budget.blocks_max, on_event);
         let Some(keys) = debug_span!("find_blocks", voxel_m).in_scope(find)? else {
             return Ok(None);
         };
         if keys.is_empty() {
             return Err(MeshError::NoSurface);
         }
-        let mut volume = Volume::new(keys, voxel_m);
-        let span = debug_span!("fuse", views = cameras.len()).entered();
-        for (i, camera) in cameras.iter().enumerate() {
-            volume.fuse(&Frame::new(camera, &render(camera), pixel.most_m));
-            on_event(FuseEvent::Progress { stage: Stage::Fuse, done: i + 1, of: cameras.len() })?;
+        let parts = parts::divide(&keys, budget.part_max(keys.len()));
+        let (mut extraction, mut peak_bytes) = (Extraction::default(), 0);
+        for (part, own) in parts.iter().enumerate() {
+            let done = [part, parts.len()].map(|parts| parts * cameras.len());
+            let parts::Part { keys, own } = parts::part(&keys, own.clone());
+            let volume = self.fuse(keys, painter, |views| {
+                on_event(FuseEvent::Progress { stage: Stage::Fuse, done: done[0] + views, of: done[1] })
+            })?;
+            let _span = debug_span!("extract", blocks = own).entered();
+            let layout = Layout::new(&volume, own, &extraction.mesh);
+            let bytes = volume.bytes() + layout.bytes() + extraction.pending_bytes();
+            peak_bytes = bytes.max(peak_bytes);
+            if bytes > budget.volume_bytes || !layout.fits_indices() {
+                return Ok(None);
+            }
+            extraction.add(&volume, &layout);
         }
-        drop(span);
-        let _span = debug_span!("extract", blocks = volume.len()).entered();
-        let layout = Layout::new(&volume);
-        let (blocks, peak_bytes) = (volume.len(), volume.bytes() + layout.bytes());
-        if peak_bytes > budget.volume_bytes || !layout.fits_indices() {
-            return Ok(None);
-        }
-        let mut mesh = extract::extract(&volume, &layout);
-        drop((volume, layout));
+        let mut mesh = extraction.mesh;
         clean::remove_specks(&mut mesh);
         if mesh.triangles.is_empty() {
             return Err(MeshError::NoAgreement);
         }
         mesh.normals = clean::normals(&mesh);
-        Ok(Some(Fused { mesh, voxel_m, pixel_m: pixel.usual_m, blocks, peak_bytes }))
+        let (blocks, parts) = (keys.len(), parts.len());
+        Ok(Some(Fused { mesh, voxel_m, pixel_m: pixel.usual_m, blocks, parts, peak_bytes }))
+    }
+
+    /// Fuses all views into the blocks of `keys`. Views that touch none of them are not rendered.
+    fn fuse(
+        &self,
+        keys: Vec<Key>,
+        painter: &mut impl Painter,
+        mut on_view: impl FnMut(usize) -> Result<(), MeshError>,
+    ) -> Result<Volume, MeshError> {
+        let _span = debug_span!("fuse", views = self.cameras.len(), blocks = keys.len()).entered();
+        let mut volume = Volume::new(keys, self.voxel_m);
+        let views: Vec<(&Camera, bool)> =
+            self.cameras.iter().map(|camera| (camera, volume.is_in_view(&Frame::of(camera)))).collect();
+        painter.expect(views.iter().filter(|(_, seen)| *seen).map(|(camera, _)| **camera).collect());
+        for (i, (camera, seen)) in views.into_iter().enumerate() {
+            if seen {
+                volume.fuse(&Frame::new(camera, &painter.render(camera)?, self.pixel.most_m));
+            }
+            on_view(i + 1)?;
+        }
+        Ok(volume)
     }
 }

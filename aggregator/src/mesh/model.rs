@@ -1,12 +1,14 @@
-//! Makes a mesh from a splat model, within one memory limit for rendering and fusion together.
+//! Makes a mesh from a splat model, within one memory limit for rendering and fusion together. A model that takes too much
+//! of it is rendered from its file, for a few cameras at a time.
 
 use std::collections::HashSet;
 use std::ops::ControlFlow;
+use std::path::PathBuf;
 
 use cosurf_engine::backend::{Backend, Channels, Rendering};
 use cosurf_engine::budget::{Costs, PAIRS_PER_SPLAT, PROCESS_BYTES};
-use cosurf_engine::{Capacity, CpuBackend};
-use cosurf_scene::{Camera, Pose, Splats};
+use cosurf_engine::{Capacity, CpuBackend, Place, ViewError, ViewMemory, Views};
+use cosurf_scene::{Camera, LocalFrame, Pose, Splats};
 use glam::DVec2;
 use tracing::info_span;
 
@@ -14,6 +16,8 @@ use super::budget;
 use super::error::MeshError;
 use super::event::FuseEvent;
 use super::fuse::{FuseSettings, Fused, fuse};
+use super::painter::Painter;
+use super::scout::FIND_LEAST_PX;
 
 /// Capacity for splat–tile pairs, per splat. Meshing renders oblique views of the whole model, so it allows three times
 /// as many pairs as training. A view with more pairs loses its farthest splats. Other views see the surface of these
@@ -49,12 +53,89 @@ pub fn mesh_model(
     let left = settings.memory_bytes - needs.bytes(&cameras);
     let mut renderer = BoundedRenderer::new(splats, &needs, threads);
     let settings = FuseSettings { memory_bytes: left + budget::frame_bytes(&cameras), ..*settings };
-    fuse(&cameras, |camera| renderer.render(camera), &settings, on_event)
+    fuse(&cameras, |camera: &Camera| renderer.render(camera), &settings, on_event)
+}
+
+/// Renders the model in the PLY file `path`, moved into `frame`, from every camera, with a long side of at most `max_size_px`,
+/// and fuses the renderings into a mesh. `settings.memory_bytes` limits the whole process. The model need not fit into the
+/// memory; if the splats that a single picture shows do not fit, pictures shrink. Rendering uses `threads` (at least 1)
+/// threads; the fusion uses rayon's pool. If `on_event` returns `Break`, the result is [`MeshError::Stopped`].
+pub fn mesh_file(
+    path: PathBuf,
+    frame: &LocalFrame,
+    cameras: &[Camera],
+    max_size_px: Option<u32>,
+    settings: &FuseSettings,
+    threads: usize,
+    on_event: impl FnMut(FuseEvent) -> ControlFlow<()>,
+) -> Result<Fused, MeshError> {
+    let memory = ViewMemory { limit_bytes: 0, held_bytes: || 0, made_bytes: 0, made_bytes_per_pixel: 0 };
+    let mut views = Views::open(path, frame, Place::Within(memory), threads)?;
+    if views.splats() == 0 {
+        return Err(MeshError::NoSurface);
+    }
+    let _span = info_span!("mesh", splats = views.splats()).entered();
+    let Fitted { cameras, pictures_bytes, fusion_bytes } =
+        fit(&mut views, &without_twins(cameras), max_size_px.unwrap_or(u32::MAX), settings.memory_bytes)?;
+    // With more memory for pictures, the file is read for more cameras at once.
+    let pictures_bytes = pictures_bytes + (settings.memory_bytes - pictures_bytes - fusion_bytes) / 2;
+    let settings = FuseSettings { memory_bytes: settings.memory_bytes - pictures_bytes, ..*settings };
+    fuse(&cameras, FilePainter(views.limited(pictures_bytes)), &settings, on_event)
+}
+
+/// Cameras whose pictures are small enough for the memory, and the least bytes for rendering and fusing them.
+struct Fitted {
+    cameras: Vec<Camera>,
+    pictures_bytes: u64,
+    fusion_bytes: u64,
+}
+
+/// Shrinks the pictures until they fit into the memory.
+fn fit(
+    views: &mut Views,
+    cameras: &[Camera],
+    max_size_px: u32,
+    memory_bytes: u64,
+) -> Result<Fitted, MeshError> {
+    let longest = cameras.iter().map(|camera| camera.size_px[0].max(camera.size_px[1])).max();
+    let mut long_side_px = longest.unwrap_or(0).min(max_size_px);
+    loop {
+        let cameras: Vec<Camera> = cameras.iter().map(|camera| camera.fitted(long_side_px)).collect();
+        // A small picture shows a few splats more than a large one, because each splat is at least a pixel wide.
+        let small = cameras.iter().map(|camera| camera.fitted(FIND_LEAST_PX));
+        let of_all_sizes: Vec<Camera> = cameras.iter().copied().chain(small).collect();
+        let pictures_bytes = views.needed_bytes(&of_all_sizes)?;
+        let fusion_bytes = budget::least_bytes(&cameras);
+        let needed_bytes = pictures_bytes + fusion_bytes;
+        if needed_bytes <= memory_bytes {
+            return Ok(Fitted { cameras, pictures_bytes, fusion_bytes });
+        }
+        if long_side_px <= FIND_LEAST_PX {
+            return Err(MeshError::TooLittleMemory { splats: views.splats(), needed_bytes, memory_bytes });
+        }
+        long_side_px = long_side_px * 7 / 8;
+    }
+}
+
+/// A [`Painter`] that renders a model in a file.
+struct FilePainter(Views);
+
+impl Painter for FilePainter {
+    fn expect(&mut self, cameras: Vec<Camera>) {
+        self.0.expect(cameras);
+    }
+
+    fn render(&mut self, camera: &Camera) -> Result<Rendering, MeshError> {
+        self.0.render(camera).map_err(|error| match error {
+            ViewError::Scene(error) => error.into(),
+            error => MeshError::View(error),
+        })
+    }
 }
 
 /// An error if a model with this many splats and this degree of spherical harmonics takes more memory than the whole process
 /// may. [`mesh_model`] would give the same error, but only when the splats are in memory.
-pub fn check_memory(
+pub(crate) fn check_memory(
     splats: usize,
     sh_degree: u32,
     cameras: &[Camera],
@@ -129,7 +210,7 @@ fn fitted(
         if pictures <= left / PICTURE_SHARE && pictures + budget::least_bytes(&[]) <= left {
             return Ok(cameras);
         }
-        if long_side_px <= 64 {
+        if long_side_px <= FIND_LEAST_PX {
             let needed_bytes = needs.bytes + PICTURE_SHARE * pictures + budget::least_bytes(&[]);
             return Err(MeshError::TooLittleMemory { splats: needs.splats, needed_bytes, memory_bytes });
         }

@@ -3,13 +3,13 @@
 
 use std::collections::HashSet;
 
-use cosurf_engine::Rendering;
 use cosurf_scene::Camera;
 use rayon::prelude::*;
 
 use super::error::MeshError;
 use super::event::{FuseEvent, Stage};
 use super::frame::Frame;
+use super::painter::Painter;
 use super::volume::{Key, blocks_around};
 
 /// Long side of the pictures from which the distance of the surface is measured, px.
@@ -17,6 +17,8 @@ const LOOK_PX: u32 = 160;
 /// To search for blocks, pictures are shrunk until a pixel of usual size covers this many voxels along each
 /// axis. A block is eight voxels wide, so none is missed.
 const VOXELS_PER_PIXEL: f64 = 2.0;
+/// Pictures in which blocks are searched for are not smaller than this, px on their long side.
+pub(super) const FIND_LEAST_PX: u32 = 64;
 /// Largest size that a pixel may cover on the surface, as a multiple of the usual size. Larger pixels are not
 /// fused.
 pub(super) const FARTHEST: f64 = 4.0;
@@ -34,12 +36,14 @@ pub(super) struct PixelSize {
 /// the views. `None` if no view shows a surface.
 pub(super) fn pixel_m(
     cameras: &[Camera],
-    render: &mut impl FnMut(&Camera) -> Rendering,
+    painter: &mut impl Painter,
     on_event: &mut impl FnMut(FuseEvent) -> Result<(), MeshError>,
 ) -> Result<Option<f64>, MeshError> {
     let mut sizes_m = Vec::with_capacity(cameras.len());
+    let small = |camera: &Camera| camera.fitted(LOOK_PX);
+    painter.expect(cameras.iter().map(small).collect());
     for (i, camera) in cameras.iter().enumerate() {
-        let mut depths = render(&camera.fitted(LOOK_PX)).depth;
+        let mut depths = painter.render(&small(camera))?.depth;
         depths.retain(|z| z.is_finite() && *z > 0.0);
         sizes_m.extend(median(&mut depths).map(|z| f64::from(z) / camera.focal_px.min_element()));
         on_event(FuseEvent::Progress { stage: Stage::Look, done: i + 1, of: cameras.len() })?;
@@ -57,21 +61,25 @@ fn median(values: &mut [f32]) -> Option<f32> {
 /// are more than `blocks_max`.
 pub(super) fn find_blocks(
     cameras: &[Camera],
-    render: &mut impl FnMut(&Camera) -> Rendering,
+    painter: &mut impl Painter,
     pixel: PixelSize,
     voxel_m: f64,
     blocks_max: usize,
     on_event: &mut impl FnMut(FuseEvent) -> Result<(), MeshError>,
 ) -> Result<Option<Vec<Key>>, MeshError> {
     let shrink = (pixel.usual_m / (VOXELS_PER_PIXEL * voxel_m)).min(1.0);
+    let smaller = |camera: &Camera| {
+        let long_side = f64::from(camera.size_px[0].max(camera.size_px[1]));
+        camera.fitted(((long_side * shrink).ceil() as u32).max(FIND_LEAST_PX))
+    };
+    painter.expect(cameras.iter().map(smaller).collect());
     let mut found = HashSet::new();
     for (i, camera) in cameras.iter().enumerate() {
-        let long_side = f64::from(camera.size_px[0].max(camera.size_px[1]));
-        let small = camera.fitted((long_side * shrink).ceil().max(1.0) as u32);
+        let small = smaller(camera);
         // A pixel of a smaller picture covers more of the surface, so the limit on its size grows by the same
         // ratio.
         let ratio = camera.focal_px.min_element() / small.focal_px.min_element();
-        let frame = Frame::new(&small, &render(&small), pixel.most_m * ratio);
+        let frame = Frame::new(&small, &painter.render(&small)?, pixel.most_m * ratio);
         found.extend(blocks_of(&frame, voxel_m));
         if found.len() > blocks_max {
             return Ok(None);

@@ -1,4 +1,4 @@
-//! The sparse volume: blocks of 8³ voxels, sorted by position. Each voxel has a truncated signed distance (positive
+//! A sparse volume: blocks of 8³ voxels, sorted by position. Each voxel has a truncated signed distance (positive
 //! outside), a colour, and a weight for each of the two.
 
 use glam::{DVec3, IVec3, Vec2, Vec3};
@@ -41,7 +41,9 @@ pub(super) struct Voxel {
     rgb_weight: u16,
 }
 
-/// Coordinates of a block, counted in blocks and packed into one number. Keys are ordered by z, then y, then x.
+/// Coordinates of a block, counted in blocks and packed into one number. Keys are ordered along a Z-order curve (Morton 1966)
+/// over x and y, then by z. So keys that follow each other are of blocks near each other on the ground, and a block precedes
+/// its neighbours towards +x, +y and +z.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord, Hash)]
 pub(super) struct Key(u64);
 
@@ -52,14 +54,25 @@ impl Key {
         let inside = block.cmpge(-end).all() && block.cmplt(end).all();
         inside.then(|| {
             let [x, y, z] = (block + end).to_array().map(|v| v as u64);
-            Self(z << (2 * KEY_BITS) | y << KEY_BITS | x)
+            Self((spread(y) << 1 | spread(x)) << KEY_BITS | z)
         })
     }
 
     pub(super) fn block(self) -> IVec3 {
-        let part = |shift: u32| (self.0 >> shift & ((1 << KEY_BITS) - 1)) as i32 - COORDINATE_END;
-        IVec3::new(part(0), part(KEY_BITS), part(2 * KEY_BITS))
+        let curve = self.0 >> KEY_BITS;
+        let parts = [gathered(curve), gathered(curve >> 1), self.0 & ((1 << KEY_BITS) - 1)];
+        IVec3::from_array(parts.map(|part| part as i32 - COORDINATE_END))
     }
+}
+
+/// The lowest 21 bits of a number, moved apart: bit i becomes bit 2 i.
+fn spread(number: u64) -> u64 {
+    (0..KEY_BITS).fold(0, |spread, bit| spread | (number >> bit & 1) << (2 * bit))
+}
+
+/// The inverse of [`spread`]; the bits between are ignored.
+fn gathered(spread: u64) -> u64 {
+    (0..KEY_BITS).fold(0, |number, bit| number | (spread >> (2 * bit) & 1) << bit)
 }
 
 /// The blocks within the truncation distance of a point along each axis. Blocks too far from the origin for a [`Key`]
@@ -74,7 +87,7 @@ pub(super) fn blocks_around(point: DVec3, voxel_m: f64) -> impl Iterator<Item = 
     })
 }
 
-/// All blocks of the fusion.
+/// Blocks that are fused at the same time.
 #[derive(Debug)]
 pub(super) struct Volume {
     /// Keys of the blocks, ascending.
@@ -91,10 +104,6 @@ impl Volume {
         assert!(keys.is_sorted(), "the keys of blocks must ascend");
         let voxels = vec![Voxel::default(); keys.len() * VOXELS];
         Self { keys, voxels, voxel_m }
-    }
-
-    pub(super) fn len(&self) -> usize {
-        self.keys.len()
     }
 
     /// Bytes that the volume has allocated.
@@ -119,6 +128,14 @@ impl Volume {
     /// World position of a block's lowest corner.
     pub(super) fn origin(&self, block: IVec3) -> DVec3 {
         block.as_dvec3() * (SIDE as f64 * self.voxel_m)
+    }
+
+    /// Whether a view may touch a block. The pixels of the view need not be there.
+    pub(super) fn is_in_view(&self, frame: &Frame) -> bool {
+        let block_m = SIDE as f64 * self.voxel_m;
+        self.keys.par_iter().any(|key| {
+            may_see(frame, (key.block().as_dvec3() * block_m - frame.center).as_vec3(), block_m as f32)
+        })
     }
 
     /// Fuses a view into the volume.

@@ -4,9 +4,9 @@
 use std::ops::ControlFlow;
 use std::path::Path;
 
-use cosurf_scene::{Camera, Caster, LocalFrame, SceneError, ply};
+use cosurf_scene::{Camera, Caster, LocalFrame, SceneError};
 
-use crate::mesh::{FuseEvent, FuseSettings, Fused, MeshError, check_memory, mesh_model};
+use crate::mesh::{FuseEvent, FuseSettings, Fused, MeshError, mesh_file};
 use crate::report::MeshSummary;
 
 /// The mesh of a global model.
@@ -30,13 +30,9 @@ pub(crate) fn relief(
     on_event: impl FnMut(FuseEvent) -> ControlFlow<()>,
 ) -> Result<Relief, SceneError> {
     let settings = FuseSettings { voxel_m: None, memory_bytes };
-    let (splats, sh_degree) = ply::size(model)?;
-    let splats = match check_memory(splats, sh_degree, cameras, None, memory_bytes) {
-        Ok(()) => ply::read(model, frame)?,
-        Err(error) => return Ok(Relief::Missing(error)),
-    };
-    let fused = match mesh_model(splats, cameras, None, &settings, threads, on_event) {
+    let fused = match mesh_file(model.to_owned(), frame, cameras, None, &settings, threads, on_event) {
         Ok(fused) => fused,
+        Err(MeshError::Scene(error)) => return Err(error),
         Err(error) => return Ok(Relief::Missing(error)),
     };
     let caster = Caster::new(&fused.mesh);

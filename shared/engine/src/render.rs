@@ -111,6 +111,22 @@ impl Renderer {
         Ok(self.on_cpu().render(camera, far, Channels::Geometry))
     }
 
+    /// As [`Self::try_render`], but `None` instead of a picture with more than `pairs_max` pairs of splat and tile, which takes
+    /// too much memory on the processor.
+    pub(crate) fn try_render_within(
+        &mut self,
+        camera: &Camera,
+        pairs_max: usize,
+    ) -> Result<Option<Rendering>, DeviceError> {
+        match &mut self.painter {
+            Painter::Cpu(painter) => Ok(painter
+                .blend(camera, f64::INFINITY, Channels::Geometry, pairs_max)
+                .then(|| painter.backend.rendering())),
+            #[cfg(feature = "gpu")]
+            Painter::Gpu(..) => self.try_render(camera).map(Some),
+        }
+    }
+
     /// Importance of each splat to the pictures of `cameras`: Σ (α T)² over all their pixels, with α the splat's alpha
     /// at a pixel and T the transmittance in front of it. The splats move to the processor, which also renders all
     /// later pictures.
@@ -182,7 +198,7 @@ impl CpuPainter {
     }
 
     fn render(&mut self, camera: &Camera, far: f64, channels: Channels) -> Rendering {
-        self.blend(camera, far, channels);
+        self.blend(camera, far, channels, usize::MAX);
         self.backend.rendering()
     }
 
@@ -200,7 +216,7 @@ impl CpuPainter {
     }
 
     fn add_importance(&mut self, camera: &Camera) {
-        self.blend(camera, f64::INFINITY, Channels::Color);
+        self.blend(camera, f64::INFINITY, Channels::Color, usize::MAX);
         self.backend.score();
     }
 
@@ -208,14 +224,20 @@ impl CpuPainter {
         self.backend.scores().squared_weights
     }
 
-    fn blend(&mut self, camera: &Camera, far: f64, channels: Channels) {
+    /// Returns whether the picture has at most `pairs_max` pairs; else it is not blended.
+    fn blend(&mut self, camera: &Camera, far: f64, channels: Channels, pairs_max: usize) -> bool {
         self.backend.project_up_to(camera, self.sh_degree, far);
         self.backend.bin();
         let counts = self.backend.counts();
+        let pairs = counts.pairs + counts.dropped;
+        if pairs > pairs_max {
+            return false;
+        }
         if counts.dropped > 0 {
-            self.backend.set_pair_capacity(counts.pairs + counts.dropped);
+            self.backend.set_pair_capacity(pairs);
             self.backend.bin();
         }
         self.backend.rasterize(channels);
+        true
     }
 }

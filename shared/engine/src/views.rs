@@ -32,8 +32,10 @@ pub struct Views {
     sh_degree: u32,
     /// The next cameras that will probably be asked for, in this order.
     expected: Vec<Camera>,
-    /// Whether each of the expected cameras was found to have room.
+    /// Whether it was found out how much memory the cameras need.
     is_checked: bool,
+    /// Whether a picture of all splats was found to take too much memory.
+    is_too_large: bool,
     loaded: Option<Loaded>,
 }
 
@@ -63,8 +65,35 @@ pub struct ViewMemory {
 /// Splats in memory.
 struct Loaded {
     renderer: Renderer,
-    /// The cameras for which there is room; `None` for any.
-    cameras: Option<Vec<Camera>>,
+    room: Room,
+}
+
+/// Which pictures there is room for.
+enum Room {
+    /// All.
+    All,
+    /// Those of at most this size and with at most so many pairs of splat and tile.
+    Limited { size_px: [u32; 2], pairs: usize },
+    /// Those of these cameras.
+    Cameras(Vec<Camera>),
+}
+
+impl Room {
+    /// Tells whether the splats that a camera sees are loaded, and whether its picture is not too large.
+    fn is_for(&self, camera: &Camera) -> bool {
+        match self {
+            Self::All => true,
+            Self::Limited { size_px, .. } => (0..2).all(|axis| camera.size_px[axis] <= size_px[axis]),
+            Self::Cameras(cameras) => cameras.contains(camera),
+        }
+    }
+
+    fn pairs(&self) -> usize {
+        match self {
+            Self::Limited { pairs, .. } => *pairs,
+            Self::All | Self::Cameras(_) => usize::MAX,
+        }
+    }
 }
 
 /// Why a picture could not be rendered.
@@ -99,8 +128,18 @@ impl Views {
     /// least 1.
     pub fn open(path: PathBuf, frame: &LocalFrame, place: Place, threads: usize) -> Result<Self, SceneError> {
         let (splats, sh_degree) = ply::size(&path)?;
-        let (expected, is_checked, loaded, frame) = (Vec::new(), false, None, *frame);
-        Ok(Self { path, frame, threads, place, splats, sh_degree, expected, is_checked, loaded })
+        Ok(Self {
+            path,
+            frame: *frame,
+            threads,
+            place,
+            splats,
+            sh_degree,
+            expected: Vec::new(),
+            is_checked: false,
+            is_too_large: false,
+            loaded: None,
+        })
     }
 
     /// Number of splats of the model.
@@ -108,26 +147,52 @@ impl Views {
         self.splats
     }
 
-    /// Tells which cameras will be asked for next, so that the splats of several can be read together, and the first picture
-    /// is refused if one of them takes too much memory.
+    /// Tells which cameras will be asked for next, so that the splats of several can be read together. The first picture
+    /// is refused if a later one of the cameras that were told first takes too much memory.
     pub fn expect(&mut self, cameras: Vec<Camera>) {
-        (self.expected, self.is_checked) = (cameras, false);
+        self.expected = cameras;
+    }
+
+    /// The smallest limit on the memory of the process that suffices for a picture of each of these cameras, bytes. Reads the
+    /// file once. 0 if there is no limit.
+    pub fn needed_bytes(&mut self, cameras: &[Camera]) -> Result<u64, SceneError> {
+        let Place::Within(memory) = self.place else { return Ok(0) };
+        self.is_checked = true;
+        Ok(self.most_needed(cameras, self.limit(memory, cameras))?.1)
+    }
+
+    /// The same model within another limit.
+    pub fn limited(self, limit_bytes: u64) -> Self {
+        let place = match self.place {
+            Place::Within(memory) => Place::Within(ViewMemory { limit_bytes, ..memory }),
+            on => on,
+        };
+        Self { place, is_too_large: false, loaded: None, ..self }
+    }
+
+    fn limit(&self, memory: ViewMemory, cameras: &[Camera]) -> Limit {
+        let viewing = Viewing { splats: self.splats, sh_degree: self.sh_degree, size_px: largest(cameras) };
+        Limit { memory, held_bytes: (memory.held_bytes)(), viewing }
     }
 
     /// What the model shows from a camera.
     pub fn render(&mut self, camera: &Camera) -> Result<Rendering, ViewError> {
-        let has_room =
-            |loaded: &Loaded| loaded.cameras.as_ref().is_none_or(|cameras| cameras.contains(camera));
-        let mut loaded = match self.loaded.take() {
-            Some(loaded) if has_room(&loaded) => loaded,
-            of_others => {
-                drop(of_others); // before others take its place
-                self.load(camera)?
+        loop {
+            let mut loaded = match self.loaded.take() {
+                Some(loaded) if loaded.room.is_for(camera) => loaded,
+                of_others => {
+                    drop(of_others); // before others take its place
+                    self.load(camera)?
+                }
+            };
+            match loaded.renderer.try_render_within(camera, loaded.room.pairs())? {
+                Some(rendering) => {
+                    self.loaded = Some(loaded);
+                    return Ok(rendering);
+                }
+                None => self.is_too_large = true,
             }
-        };
-        let rendering = loaded.renderer.try_render(camera)?;
-        self.loaded = Some(loaded);
-        Ok(rendering)
+        }
     }
 
     /// Loads all splats if they fit, else those for `camera` and as many of the next expected cameras as fit.
@@ -136,30 +201,34 @@ impl Views {
             Place::On(device) => {
                 let splats = ply::read(&self.path, &self.frame)?;
                 let renderer = Renderer::on(device, self.threads, &splats)?;
-                return Ok(Loaded { renderer, cameras: None });
+                return Ok(Loaded { renderer, room: Room::All });
             }
             Place::Within(memory) => memory,
         };
         let at = self.expected.iter().position(|expected| expected == camera);
         let next = at.map_or(&[][..], |at| &self.expected[at + 1..]);
         let cameras: Vec<Camera> = [*camera].into_iter().chain(next.iter().copied()).collect();
-        let viewing = Viewing { splats: self.splats, sh_degree: self.sh_degree, size_px: largest(&cameras) };
-        let limit = Limit { memory, held_bytes: (memory.held_bytes)(), viewing };
-        if let Some(renderer) = self.whole(&cameras, limit)? {
-            return Ok(Loaded { renderer, cameras: Some(cameras) });
+        let limit = self.limit(memory, &cameras);
+        if !self.is_too_large && limit.allows(self.splats, limit.viewing.usual_pairs()) {
+            let renderer = Renderer::new(&ply::read(&self.path, &self.frame)?, self.threads);
+            let (size_px, pairs) = (limit.viewing.size_px, limit.pairs_max(self.splats));
+            return Ok(Loaded { renderer, room: Room::Limited { size_px, pairs } });
         }
         if !self.is_checked {
-            self.check(&cameras, limit)?;
             self.is_checked = true;
+            let (splats, needed_bytes) = self.most_needed(&cameras, limit)?;
+            if needed_bytes > memory.limit_bytes {
+                return Err(limit.refusal(splats, needed_bytes));
+            }
         }
         let mut batch = Batch::new(cameras, limit);
         ply::read_parts(&self.path, &self.frame, READ_AT_ONCE, |part| batch.add(part, self.threads))?;
         let (cameras, renderer) = batch.end(self.threads)?;
-        Ok(Loaded { renderer, cameras: Some(cameras) })
+        Ok(Loaded { renderer, room: Room::Cameras(cameras) })
     }
 
-    /// Fails if one of these cameras alone has too little room.
-    fn check(&self, cameras: &[Camera], limit: Limit) -> Result<(), ViewError> {
+    /// For that one of these cameras which needs most: the number of its splats, and the bytes of the process.
+    fn most_needed(&self, cameras: &[Camera], limit: Limit) -> Result<(usize, u64), SceneError> {
         let mut counts = vec![(0, 0); cameras.len()];
         ply::read_parts(&self.path, &self.frame, READ_AT_ONCE, |part| {
             let mut renderer = Renderer::new(part, self.threads);
@@ -168,27 +237,9 @@ impl Views {
                 (*splats, *pairs) = (*splats + seen.splats.len(), *pairs + seen.pairs);
             }
         })?;
-        let needed_bytes = |(splats, pairs): &(usize, usize)| limit.bytes_with_reading(*splats, *pairs);
-        match counts.iter().max_by_key(|counts| needed_bytes(counts)) {
-            Some(most) if needed_bytes(most) > limit.memory.limit_bytes => {
-                Err(limit.refusal(most.0, needed_bytes(most)))
-            }
-            _ => Ok(()),
-        }
-    }
-
-    /// All splats, if they and the pictures of all these cameras fit.
-    fn whole(&self, cameras: &[Camera], limit: Limit) -> Result<Option<Renderer>, SceneError> {
-        if !limit.allows(self.splats, limit.viewing.usual_pairs()) {
-            return Ok(None);
-        }
-        let mut renderer = Renderer::new(&ply::read(&self.path, &self.frame)?, self.threads);
-        let pairs = cameras.iter().map(|camera| renderer.pairs(camera)).max().unwrap_or(0);
-        if !limit.allows(self.splats, pairs) {
-            return Ok(None);
-        }
-        renderer.reserve_pairs(pairs);
-        Ok(Some(renderer))
+        let needed_bytes =
+            |(splats, pairs): (usize, usize)| (splats, limit.bytes_with_reading(splats, pairs));
+        Ok(counts.into_iter().map(needed_bytes).max_by_key(|(_, bytes)| *bytes).unwrap_or_default())
     }
 }
 
@@ -225,6 +276,16 @@ impl Limit {
     fn refusal(&self, splats: usize, needed_bytes: u64) -> ViewError {
         let (memory_bytes, size_px) = (self.memory.limit_bytes, self.viewing.size_px);
         ViewError::TooLittleMemory { size_px, splats, needed_bytes, memory_bytes }
+    }
+
+    /// Largest number of pairs in a picture of so many splats.
+    fn pairs_max(&self, splats: usize) -> usize {
+        let (mut allowed, mut too_many) = (0, usize::from(u16::MAX) * usize::from(u16::MAX));
+        while too_many - allowed > 1 {
+            let middle = allowed.midpoint(too_many);
+            *(if self.allows(splats, middle) { &mut allowed } else { &mut too_many }) = middle;
+        }
+        allowed
     }
 
     /// Tells whether [`Self::bytes`] are allowed.
