@@ -12,8 +12,8 @@
 //!
 //! ```text
 //! survey ─► accuracy, cog, points, contours, volumes     one file each
-//!            └─ heights, colors                          the surface and the splats, seen from above
-//!                └─ lattice, tiles ─► place              pixels of the map; values of pixels; where on the earth
+//!            └─ heights, terrain, colors                 the surface, the ground and the splats, seen from above
+//!                └─ lattice, tiles, grid ─► place        pixels of the map; values of pixels; where on the earth
 //! ```
 
 mod accuracy;
@@ -21,11 +21,13 @@ mod cog;
 mod colors;
 mod contours;
 mod error;
+mod grid;
 mod heights;
 mod lattice;
 mod place;
 mod points;
 mod scene;
+mod terrain;
 #[cfg(test)]
 mod tests;
 mod tiles;
@@ -42,13 +44,14 @@ use crate::mesh::FuseEvent;
 use crate::service::remove;
 pub use accuracy::{Accuracy, MadeFile, PointsAccuracy};
 use accuracy::{Made, accuracy_of};
-use contours::write_contours;
+use contours::{ContourOrder, write_contours};
 pub use error::SurveyError;
 use heights::{Surface, find_heights};
 use lattice::Lattice;
 use place::Place;
 use points::write_points;
 use scene::Scene;
+use terrain::find_terrain;
 use tiles::Tiles;
 pub use volumes::Volume;
 use volumes::{find_volumes, read_polygons};
@@ -92,8 +95,8 @@ pub enum SurveyEvent {
     },
 }
 
-/// Makes all files: `dsm.tif`, `ortho.tif`, `points.laz`, `contours.geojson`, `volumes.json` if polygons are given, and
-/// last `accuracy.json`, so that its presence tells that the others are complete.
+/// Makes all files: `dsm.tif`, `dtm.tif`, `ortho.tif`, `points.laz`, `contours.geojson`, `volumes.json` if polygons are
+/// given, and last `accuracy.json`, so that its presence tells that the others are complete.
 pub fn survey(order: &SurveyOrder, mut on_event: impl FnMut(SurveyEvent)) -> Result<Accuracy, SurveyError> {
     let place = Place::new(&order.georeference)?;
     // Read before the mesh is made, so that a wrong file is reported at once.
@@ -122,8 +125,12 @@ pub fn survey(order: &SurveyOrder, mut on_event: impl FnMut(SurveyEvent)) -> Res
         return Err(SurveyError::NothingSeen);
     }
     cog::write_heights(&at("dsm.tif"), &lattice, &mut heights)?;
-    let range_m = covered.range_m;
-    write_contours(&at("contours.geojson"), &lattice, &mut heights, order.contours_m, range_m)?;
+    let mut terrain = Tiles::new(&order.out, lattice.size_px(), lattice::TILE_PX)?;
+    let range_m = find_terrain(&mut heights, gsd_m, &mut terrain, order.memory_bytes)?;
+    cog::write_heights(&at("dtm.tif"), &lattice, &mut terrain)?;
+    let contours = ContourOrder { step_m: order.contours_m, range_m, memory_bytes: order.memory_bytes };
+    write_contours(&at("contours.geojson"), &lattice, &mut terrain, &contours)?;
+    drop(terrain);
     let volumes = match &polygons {
         Some(polygons) => Some(find_volumes(polygons, &lattice, &mut heights)?),
         None => None,

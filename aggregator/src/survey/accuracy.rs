@@ -105,9 +105,10 @@ pub(super) fn accuracy_of(
 fn made_files(contours_m: f64, has_volumes: bool) -> Vec<MadeFile> {
     let mut files = vec![
         ("dsm.tif", "Highest surface of a mesh, at the centre of each pixel that two cameras see; the mesh was fused from the model's depth in all cameras.".into()),
+        ("dtm.tif", "Heights of dsm.tif where the progressive morphological filter (Zhang et al. 2003) finds bare ground, and between them heights of the ground around.".into()),
         ("ortho.tif", "The splats of the model, rendered from straight above each pixel, without those that float above the mesh.".into()),
         ("points.laz", "The vertices of the mesh that two cameras see, with its colours.".into()),
-        ("contours.geojson", format!("Lines every {contours_m} m, by marching squares through means of dsm.tif.")),
+        ("contours.geojson", format!("Lines every {contours_m} m, by marching squares through means of dtm.tif.")),
     ];
     if has_volumes {
         files.push((

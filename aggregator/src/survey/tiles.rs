@@ -30,6 +30,11 @@ impl<T: Pod> Tiles<T> {
         Ok(Self { file, folder: folder.into(), size_px, tile_px, values: PhantomData })
     }
 
+    /// Width and height of the map, px.
+    pub(super) fn size_px(&self) -> [u32; 2] {
+        self.size_px
+    }
+
     /// Number of tiles.
     pub(super) fn len(&self) -> usize {
         let [across, down] = self.across_and_down();

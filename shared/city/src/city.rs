@@ -68,6 +68,11 @@ impl City {
         truth::mesh(&self.world, &self.cameras)
     }
 
+    /// The true terrain: the bare ground and water, also below what stands on it. Triangles may have any orientation.
+    pub fn ground_mesh(&self) -> Mesh {
+        truth::ground(&self.world)
+    }
+
     /// `count` points spread evenly over the surface that at least three cameras see; fewer if there is
     /// hardly any such surface.
     pub fn truth_points(&self, count: usize, seed: u64) -> Vec<TruthPoint> {

@@ -6,6 +6,7 @@ use glam::{Vec2, Vec3};
 use rayon::prelude::*;
 
 use super::light;
+use super::material::Material;
 use super::mesh::Triangle;
 use super::random::Rng;
 use super::render::World;
@@ -66,6 +67,27 @@ pub(super) fn mesh(world: &World, cameras: &[Camera]) -> Mesh {
         })
         .collect();
     weld(world, &pieces)
+}
+
+/// The bare ground and water, seen or not: without kerbs' sides, buildings, plants and things that stand on it. It has no
+/// colours, and no two triangles share a corner.
+pub(super) fn ground(world: &World) -> Mesh {
+    let is_ground = |material: u32| {
+        let material = &world.mesh.materials[material as usize];
+        matches!(material, Material::Street | Material::Ground(_) | Material::Water)
+    };
+    let corners: Vec<[Vec3; 3]> = world
+        .mesh
+        .triangles
+        .iter()
+        .filter(|triangle| is_ground(triangle.material))
+        .map(|triangle| triangle.corners)
+        .collect();
+    Mesh {
+        positions: corners.as_flattened().iter().map(|corner| corner.to_array()).collect(),
+        triangles: (0..corners.len() as u32).map(|i| [0, 1, 2].map(|corner| 3 * i + corner)).collect(),
+        ..Mesh::default()
+    }
 }
 
 /// Cuts a triangle into similar triangles with edges of at most [`EDGE_M`], given as weights of its corners.

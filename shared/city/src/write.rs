@@ -19,7 +19,7 @@ const POINTS_RANGE: (f64, f64) = (20_000.0, 400_000.0);
 
 impl City {
     /// Renders all pictures and writes them with poses, cloud and truth into `folder`, which is
-    /// created: `images/*.jpg`, `sparse/0/*.bin`, `gt/mesh.ply`, `gt/points.ply`. Calls `progress` with
+    /// created: `images/*.jpg`, `sparse/0/*.bin`, `gt/mesh.ply`, `gt/points.ply`, `gt/ground.ply`. Calls `progress` with
     /// the number of pictures done and their total. Returns the dataset with the paths written to.
     pub fn write(
         &self,
@@ -43,9 +43,10 @@ impl City {
     }
 }
 
-/// Writes the true surface of a city as a mesh and as points.
+/// Writes the true surface of a city as a mesh and as points, and its terrain.
 pub(super) fn write_truth(city: &City, folder: &Path) -> Result<(), SceneError> {
     city.truth_mesh().write_ply(&folder.join("mesh.ply"))?;
+    city.ground_mesh().write_ply(&folder.join("ground.ply"))?;
     let area = city.settings().extent_m * city.settings().extent_m;
     let count = (POINTS_PER_M2 * area).clamp(POINTS_RANGE.0, POINTS_RANGE.1) as usize;
     let points = city.truth_points(count, city.settings().seed);

@@ -7,7 +7,7 @@ use std::collections::HashMap;
 
 use glam::DVec2;
 
-use super::grid::Grid;
+use crate::survey::grid::Grid;
 
 /// Lines with fewer points are left out: bumps of a single cell.
 const POINTS_LEAST: usize = 6;
@@ -135,7 +135,7 @@ mod tests {
         let values: Vec<f32> =
             (0..1600).map(|i| height((i % 40) as f32 + 0.5, (i / 40) as f32 + 0.5)).collect();
         tiles.write(0, &values).unwrap();
-        Grid::of(&mut tiles, [40, 40], 1).unwrap()
+        Grid::of(&mut tiles, 1, 1 << 30).unwrap()
     }
 
     #[test]
