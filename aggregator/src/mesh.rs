@@ -32,6 +32,6 @@ mod volume;
 pub use error::MeshError;
 pub use event::{FuseEvent, Stage};
 pub use fuse::{FuseSettings, Fused, fuse};
-pub(crate) use model::check_memory;
+pub(crate) use model::{check_memory, render_each};
 pub use model::{mesh_file, mesh_model};
 pub use painter::Painter;

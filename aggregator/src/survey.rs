@@ -1,9 +1,10 @@
-//! What a surveyor delivers of a model: heights and a true orthophoto as maps, points, contours, volumes, and a statement
-//! of how accurate they are.
+//! What a surveyor delivers of a model: heights and a true orthophoto as maps, points, a mesh, contours, volumes, and a
+//! statement of how accurate they are.
 //!
 //! A mesh is fused from renderings of all cameras ([`crate::mesh`]): it has no floaters, so heights and points come from
 //! it. The colours of the map come from the splats, rendered straight down. Both are computed tile by tile into files
-//! without names, from which the deliverables are then written.
+//! without names, from which the deliverables are then written. So the memory is that of the fusion: all that follows
+//! needs less, because it has the mesh or the splats but never both, and one tile at a time.
 //!
 //! What it knows nothing about: how the model was made, geoids, command lines. The world of the model must be ENU metres
 //! about the origin of a site ([`cosurf_geo`]).
@@ -11,9 +12,10 @@
 //! Where to start reading: [`survey`], the list of steps. The modules, each below those that use it:
 //!
 //! ```text
-//! survey ─► accuracy, cog, points, contours, volumes     one file each
-//!            └─ heights, terrain, colors                 the surface, the ground and the splats, seen from above
-//!                └─ lattice, tiles, grid ─► place        pixels of the map; values of pixels; where on the earth
+//! survey ─► accuracy, cog, points, solid, contours, volumes   the files
+//!            └─ heights, terrain, views, splats, colors       the surface, the ground, what cameras and nobody see of them
+//!                └─ lattice, tiles, grid ─► place             pixels of the map; values of pixels; where on the earth
+//!                └─ scene, quadtree, parts                    the model; parts of its mesh
 //! ```
 
 mod accuracy;
@@ -24,18 +26,23 @@ mod error;
 mod grid;
 mod heights;
 mod lattice;
+mod parts;
 mod place;
 mod points;
+mod quadtree;
 mod scene;
+mod solid;
+mod splats;
 mod terrain;
 #[cfg(test)]
 mod tests;
 mod tiles;
+mod views;
 mod volumes;
 mod witnesses;
 
 use std::fs;
-use std::path::PathBuf;
+use std::path::{Path, PathBuf};
 
 use cosurf_geo::Georeference;
 use cosurf_scene::{SceneError, atomic};
@@ -46,13 +53,17 @@ pub use accuracy::{Accuracy, MadeFile, PointsAccuracy};
 use accuracy::{Made, accuracy_of};
 use contours::{ContourOrder, write_contours};
 pub use error::SurveyError;
-use heights::{Surface, find_heights};
+use heights::{Covered, Ground, Surface, find_heights};
 use lattice::Lattice;
 use place::Place;
 use points::write_points;
-use scene::Scene;
+use quadtree::Quadtree;
+use scene::{Relief, Scene};
+use solid::{SolidSize, write_solid};
+use splats::splats_from_above;
 use terrain::find_terrain;
 use tiles::Tiles;
+use views::{ViewOrder, Views, find_views};
 pub use volumes::Volume;
 use volumes::{find_volumes, read_polygons};
 use witnesses::Witnesses;
@@ -84,19 +95,22 @@ pub struct SurveyOrder {
 pub enum SurveyEvent {
     /// Progress of the mesh.
     Fusion(FuseEvent),
-    /// Progress of a stage that goes through the tiles of the map.
-    Tiles {
+    /// Progress of a stage that goes through the tiles of the map, or through the cameras.
+    Counted {
+        /// What is counted: `tile` or `view`.
+        what: &'static str,
         /// Name of the stage.
         stage: &'static str,
-        /// Number of tiles done.
+        /// Number done.
         done: usize,
-        /// Number of tiles in all.
+        /// Number in all.
         of: usize,
     },
 }
 
-/// Makes all files: `dsm.tif`, `dtm.tif`, `ortho.tif`, `points.laz`, `contours.geojson`, `volumes.json` if polygons are
-/// given, and last `accuracy.json`, so that its presence tells that the others are complete.
+/// Makes all files: the maps `dsm.tif`, `dtm.tif`, `ortho.tif` and `confidence.tif`, `points.laz`, `mesh.glb`,
+/// `tileset.json` with its tiles, `contours.geojson`, `volumes.json` if polygons are given, and last `accuracy.json`, so
+/// that its presence tells that the others are complete.
 pub fn survey(order: &SurveyOrder, mut on_event: impl FnMut(SurveyEvent)) -> Result<Accuracy, SurveyError> {
     let place = Place::new(&order.georeference)?;
     // Read before the mesh is made, so that a wrong file is reported at once.
@@ -104,52 +118,96 @@ pub fn survey(order: &SurveyOrder, mut on_event: impl FnMut(SurveyEvent)) -> Res
     let scene = Scene::open(&order.folder, order.memory_bytes)?;
     fs::create_dir_all(&order.out).map_err(|cause| SceneError::io(&order.out, cause))?;
     atomic::remove_partial_files(&order.out)?;
-    let at = |name| order.out.join(name);
-    let accuracy_file = at("accuracy.json");
+    let out = |name| order.out.join(name);
+    let accuracy_file = out("accuracy.json");
     remove(&accuracy_file)?; // its statement is of the files of an earlier run
 
-    let fused =
+    let relief =
         scene.mesh(order.memory_bytes, order.threads, |event| on_event(SurveyEvent::Fusion(event)))?;
-    let witnesses = Witnesses::of(&scene.cameras);
-    let surface = Surface::of(&fused.mesh, &scene.frame, &scene.cameras, &witnesses)?;
-    let gsd_m = order.gsd_m.unwrap_or(surface.gsd_m);
-    let lattice = Lattice::around(place, &surface.seen, gsd_m)?;
-    let points = write_points(&at("points.laz"), &fused.mesh, &surface, lattice.place(), &scene.frame)?;
-    let voxel_m = fused.voxel_m;
-    drop(fused);
-
-    let mut heights = Tiles::new(&order.out, lattice.size_px(), lattice::TILE_PX)?;
-    let mut show = |stage, done, of| on_event(SurveyEvent::Tiles { stage, done, of });
-    let covered = find_heights(&surface, &witnesses, &lattice, &mut heights, |d, n| show("heights", d, n))?;
-    if covered.pixels == 0 {
-        return Err(SurveyError::NothingSeen);
-    }
-    cog::write_heights(&at("dsm.tif"), &lattice, &mut heights)?;
-    let mut terrain = Tiles::new(&order.out, lattice.size_px(), lattice::TILE_PX)?;
-    let range_m = find_terrain(&mut heights, gsd_m, &mut terrain, order.memory_bytes)?;
-    cog::write_heights(&at("dtm.tif"), &lattice, &mut terrain)?;
-    let contours = ContourOrder { step_m: order.contours_m, range_m, memory_bytes: order.memory_bytes };
-    write_contours(&at("contours.geojson"), &lattice, &mut terrain, &contours)?;
-    drop(terrain);
+    let mut show = |what, stage, done, of| on_event(SurveyEvent::Counted { what, stage, done, of });
+    let voxel_m = relief.voxel_m;
+    let shape = Shape::of(relief, &scene, place, order, |d, n| show("tile", "heights", d, n))?;
+    let Shape { lattice, covered, mut heights, points, solid } = shape;
+    cog::write_heights(&out("dsm.tif"), &lattice, &mut heights)?;
+    write_ground(&order.out, order, &lattice, &mut heights)?;
     let volumes = match &polygons {
         Some(polygons) => Some(find_volumes(polygons, &lattice, &mut heights)?),
         None => None,
     };
     if let Some(volumes) = &volumes {
-        atomic::write_bytes(&at("volumes.json"), volumes::to_json(volumes).as_bytes())?;
+        atomic::write_bytes(&out("volumes.json"), volumes::to_json(volumes).as_bytes())?;
     }
 
-    let kept = scene.splats_of(&surface, voxel_m)?;
-    drop(surface);
-    let mut colors = Tiles::new(&order.out, lattice.size_px(), lattice::TILE_PX)?;
-    let mut painter = colors::Painter::new(&kept.splats, scene.frame, order.threads);
-    let splats_left_out = kept.left_out;
-    drop(kept);
-    painter.paint(&lattice, &mut heights, &mut colors, |d, n| show("colours", d, n))?;
-    cog::write_colors(&at("ortho.tif"), &lattice, &mut colors)?;
+    let mut views = Tiles::<Views>::new(&order.out, lattice.size_px(), lattice::TILE_PX)?;
+    let view_order = ViewOrder { voxel_m, memory_bytes: order.memory_bytes, threads: order.threads };
+    find_views(&scene, &lattice, &mut heights, &mut views, &view_order, |d, n| {
+        show("view", "comparing", d, n)
+    })?;
+    cog::write_views(&out("confidence.tif"), &lattice, &mut views)?;
+    drop(views);
 
-    let made = Made { covered, points, voxel_m, cameras: scene.cameras.len(), splats_left_out };
+    let kept = splats_from_above(&scene, &lattice, &mut heights, voxel_m)?;
+    let mut colors = Tiles::new(&order.out, lattice.size_px(), lattice::TILE_PX)?;
+    let painter = colors::Painter::new(&kept.splats, scene.frame, order.threads);
+    painter.paint(&lattice, &mut heights, &mut colors, |d, n| show("tile", "colours", d, n))?;
+    cog::write_colors(&out("ortho.tif"), &lattice, &mut colors)?;
+
+    let cameras = scene.cameras.len();
+    let made = Made { covered, points, solid, voxel_m, cameras, splats_left_out: kept.left_out };
     let accuracy = accuracy_of(&order.georeference, &lattice, &made, order.contours_m, volumes.is_some());
     atomic::write_bytes(&accuracy_file, accuracy.to_json().as_bytes())?;
     Ok(accuracy)
+}
+
+/// What the mesh gives.
+struct Shape {
+    lattice: Lattice,
+    covered: Covered,
+    heights: Tiles<f32>,
+    /// Number of points in `points.laz`.
+    points: u64,
+    solid: SolidSize,
+}
+
+impl Shape {
+    /// Writes the files that show the mesh itself, and finds the heights of the map. The mesh is gone afterwards.
+    fn of(
+        relief: Relief,
+        scene: &Scene,
+        place: Place,
+        order: &SurveyOrder,
+        on_tile: impl FnMut(usize, usize),
+    ) -> Result<Self, SurveyError> {
+        let Relief { mesh, voxel_m } = relief;
+        let out = &order.out;
+        let witnesses = Witnesses::of(&scene.cameras);
+        let ground = Ground::of(&mesh, &scene.frame, &scene.cameras, &witnesses, &place)?;
+        let gsd_m = order.gsd_m.unwrap_or(ground.gsd_m);
+        let lattice = Lattice::around(place, &ground.extent, gsd_m)?;
+        let place = lattice.place();
+        let points = write_points(&out.join("points.laz"), &mesh, &ground.is_seen, place, &scene.frame)?;
+        let tree = Quadtree::of(&mesh, &ground.is_seen).ok_or(SurveyError::NothingSeen)?;
+        let solid = write_solid(out, &mesh, &tree, &scene.frame, place, voxel_m)?;
+        let surface = Surface { mesh: &mesh, tree: &tree, frame: &scene.frame, ceiling_m: ground.ceiling_m };
+        let mut heights = Tiles::new(out, lattice.size_px(), lattice::TILE_PX)?;
+        let covered = find_heights(&surface, &witnesses, &lattice, &mut heights, on_tile)?;
+        if covered.pixels == 0 {
+            return Err(SurveyError::NothingSeen);
+        }
+        Ok(Self { lattice, covered, heights, points, solid })
+    }
+}
+
+/// Writes the terrain and its contours.
+fn write_ground(
+    out: &Path,
+    order: &SurveyOrder,
+    lattice: &Lattice,
+    heights: &mut Tiles<f32>,
+) -> Result<(), SurveyError> {
+    let mut terrain = Tiles::new(out, lattice.size_px(), lattice::TILE_PX)?;
+    let range_m = find_terrain(heights, lattice.gsd_m(), &mut terrain, order.memory_bytes)?;
+    cog::write_heights(&out.join("dtm.tif"), lattice, &mut terrain)?;
+    let contours = ContourOrder { step_m: order.contours_m, range_m, memory_bytes: order.memory_bytes };
+    write_contours(&out.join("contours.geojson"), lattice, &mut terrain, &contours)
 }

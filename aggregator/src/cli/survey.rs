@@ -18,11 +18,13 @@ use super::host::{cores, display};
 /// Usual difference of height between two contours, metres.
 const CONTOURS_M: f64 = 1.0;
 
-/// Make maps, points, contours and volumes of a georeferenced model, with a statement of their accuracy.
+/// Make maps, points, a mesh, contours and volumes of a georeferenced model, with a statement of their accuracy.
 ///
-/// Writes to the folder OUT: dsm.tif (heights) and ortho.tif (a true orthophoto), both Cloud-Optimised GeoTIFF;
-/// points.laz; contours.geojson; volumes.json with --volumes; and accuracy.json, last. Heights are metres above the
-/// ellipsoid of WGS 84. They show the highest surface: ground, roofs and trees.
+/// Writes to the folder OUT: dsm.tif (heights of the highest surface: ground, roofs and trees), dtm.tif (heights of the bare
+/// ground), ortho.tif (a true orthophoto) and confidence.tif (views of each pixel, and how far apart they are), all
+/// Cloud-Optimised GeoTIFF; points.laz, a Cloud-Optimised Point Cloud; mesh.glb; tileset.json and the folder tiles, the mesh
+/// as 3D Tiles; contours.geojson, of the bare ground; volumes.json with --volumes; and accuracy.json, last. Heights are metres
+/// above the ellipsoid of WGS 84.
 ///
 /// The world of the model must be metres east, north and up of an origin. geo.json in DIR tells where that is, or
 /// --origin does.
@@ -84,7 +86,9 @@ pub(crate) fn run(args: &SurveyArgs) -> Result<()> {
         let now_s = begun.elapsed().as_secs_f64();
         match event {
             SurveyEvent::Fusion(event) => meter.show_fusion(event, now_s),
-            SurveyEvent::Tiles { stage, done, of } => meter.show_counted("tile", stage, done, of, now_s),
+            SurveyEvent::Counted { what, stage, done, of } => {
+                meter.show_counted(what, stage, done, of, now_s)
+            }
         }
     })?;
     meter.finish();

@@ -133,6 +133,24 @@ impl Painter for FilePainter {
     }
 }
 
+/// Renders the splats from every camera, each once, and calls `visit` with the camera, as it was rendered, and the
+/// rendering. `memory_bytes` limits the whole process; if it is too small, pictures shrink.
+pub fn render_each<E: From<MeshError>>(
+    splats: Splats,
+    cameras: &[Camera],
+    memory_bytes: u64,
+    threads: usize,
+    mut visit: impl FnMut(&Camera, &Rendering) -> Result<(), E>,
+) -> Result<(), E> {
+    if splats.is_empty() {
+        return Err(MeshError::NoSurface.into());
+    }
+    let needs = Needs::of(splats.len(), splats.sh_degree);
+    let cameras = fitted(&needs, &without_twins(cameras), u32::MAX, memory_bytes)?;
+    let mut renderer = BoundedRenderer::new(splats, &needs, threads);
+    cameras.iter().try_for_each(|camera| visit(camera, &renderer.render(camera)))
+}
+
 /// An error if a model with this many splats and this degree of spherical harmonics takes more memory than the whole process
 /// may. [`mesh_model`] would give the same error, but only when the splats are in memory.
 pub(crate) fn check_memory(

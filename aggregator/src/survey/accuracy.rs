@@ -8,6 +8,7 @@ use serde::Serialize;
 use super::cog::HEIGHTS;
 use super::heights::Covered;
 use super::lattice::Lattice;
+use super::solid::SolidSize;
 
 /// The content of `accuracy.json`.
 #[derive(Clone, Debug, PartialEq, Serialize)]
@@ -32,6 +33,12 @@ pub struct Accuracy {
     pub points_per_m2: f64,
     /// Edge length of the mesh's voxels, metres: detail of the surface that is smaller is not in the heights.
     pub voxel_m: f64,
+    /// Number of triangles in `mesh.glb`.
+    pub triangles: usize,
+    /// Bound on the error of `mesh.glb` and of the finest tiles, metres, by the estimate of the decimation.
+    pub mesh_error_m: f64,
+    /// Number of levels of detail in `tileset.json`.
+    pub tile_levels: usize,
     /// Number of cameras.
     pub cameras: usize,
     /// Number of splats that floated above the surface, and are not in `ortho.tif`.
@@ -69,6 +76,7 @@ pub struct MadeFile {
 pub(super) struct Made {
     pub(super) covered: Covered,
     pub(super) points: u64,
+    pub(super) solid: SolidSize,
     pub(super) voxel_m: f64,
     pub(super) cameras: usize,
     pub(super) splats_left_out: usize,
@@ -81,7 +89,7 @@ pub(super) fn accuracy_of(
     contours_m: f64,
     has_volumes: bool,
 ) -> Accuracy {
-    let Made { covered, points, voxel_m, cameras, splats_left_out } = *made;
+    let Made { covered, points, solid, voxel_m, cameras, splats_left_out } = *made;
     Accuracy {
         origin: georeference.origin,
         epsg: georeference.epsg,
@@ -93,6 +101,9 @@ pub(super) fn accuracy_of(
         points,
         points_per_m2: points as f64 / covered.area_m2,
         voxel_m,
+        triangles: solid.triangles,
+        mesh_error_m: solid.error_m,
+        tile_levels: solid.levels,
         cameras,
         splats_left_out,
         gps: georeference.gps,
@@ -107,7 +118,10 @@ fn made_files(contours_m: f64, has_volumes: bool) -> Vec<MadeFile> {
         ("dsm.tif", "Highest surface of a mesh, at the centre of each pixel that two cameras see; the mesh was fused from the model's depth in all cameras.".into()),
         ("dtm.tif", "Heights of dsm.tif where the progressive morphological filter (Zhang et al. 2003) finds bare ground, and between them heights of the ground around.".into()),
         ("ortho.tif", "The splats of the model, rendered from straight above each pixel, without those that float above the mesh.".into()),
-        ("points.laz", "The vertices of the mesh that two cameras see, with its colours.".into()),
+        ("confidence.tif", "How many views show the surface of dsm.tif at each pixel, and the root mean square of the differences between the heights they show and dsm.tif, metres.".into()),
+        ("points.laz", "The vertices of the mesh that two cameras see, with its colours, as a Cloud-Optimised Point Cloud.".into()),
+        ("mesh.glb", "The mesh where two cameras see it, decimated by quadric errors of position and colour; colours belong to vertices.".into()),
+        ("tileset.json", "The same mesh as a quadtree of tiles, each level decimated further.".into()),
         ("contours.geojson", format!("Lines every {contours_m} m, by marching squares through means of dtm.tif.")),
     ];
     if has_volumes {

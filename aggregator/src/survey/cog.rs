@@ -1,6 +1,6 @@
 //! Maps as Cloud-Optimised GeoTIFF: tiled, deflated, with overviews, readable piece by piece over a network.
 //!
-//! What it knows nothing about: how heights and colours were found.
+//! What it knows nothing about: how heights, views and colours were found.
 
 use std::io;
 use std::path::Path;
@@ -15,8 +15,9 @@ use ndarray::{ArrayView2, ArrayView3};
 
 use super::lattice::{Lattice, TILE_PX, Window};
 use super::tiles::Tiles;
+use super::views::Views;
 
-/// What stands in the file where there is no height.
+/// What stands in the files where there is nothing.
 const NO_HEIGHT: f32 = -9999.0;
 /// The files say this about their heights, as EPSG has no projection with ellipsoidal heights.
 pub(super) const HEIGHTS: &str = "metres above the ellipsoid of WGS 84";
@@ -38,6 +39,25 @@ pub(super) fn write_heights(
         let view = ArrayView2::from_shape((height, width), &values).map_err(io::Error::other)?;
         let [x, y] = window.at.map(|at| at as usize);
         writer.write_tile(x, y, &view).map_err(io::Error::other)
+    })
+}
+
+/// Writes, as 32-bit floats, how many views see each pixel and how far from the surface they show it, metres.
+pub(super) fn write_views(
+    path: &Path,
+    lattice: &Lattice,
+    views: &mut Tiles<Views>,
+) -> Result<(), SceneError> {
+    let builder = builder(lattice).bands(2).nodata(&NO_HEIGHT.to_string());
+    write(path, lattice, builder, views, |writer, window, values| {
+        let bands =
+            |views: &Views| views.spread_m().map_or([NO_HEIGHT; 2], |spread_m| [views.count, spread_m]);
+        let values: Vec<[f32; 2]> = values.iter().map(bands).collect();
+        let [width, height] = window.size.map(|side| side as usize);
+        let view =
+            ArrayView3::from_shape((height, width, 2), values.as_flattened()).map_err(io::Error::other)?;
+        let [x, y] = window.at.map(|at| at as usize);
+        writer.write_tile_3d(x, y, &view).map_err(io::Error::other)
     })
 }
 

@@ -17,9 +17,10 @@ use cosurf_engine::{Renderer, Rendering};
 use cosurf_geo::GeoError;
 use cosurf_scene::{Camera, LocalFrame, Pose, Splats};
 use glam::{DVec2, DVec3};
+use rayon::prelude::*;
 
 use super::error::SurveyError;
-use super::lattice::{Lattice, TILE_PX, Window};
+use super::lattice::{Lattice, Window};
 use super::place::Column;
 use super::tiles::Tiles;
 
@@ -27,28 +28,32 @@ use super::tiles::Tiles;
 const ABOVE_M: f64 = 30_000.0;
 /// Pixels that are rendered around a tile, for what shows up outwards; enough for 600 m of relief.
 const MARGIN_PX: u32 = 8;
-/// Width and height of the largest rendering, px.
-pub(super) const PICTURE_PX: [u32; 2] = [TILE_PX + 2 * MARGIN_PX; 2];
+/// A splat shows up to this many of its standard deviations away: the renderer leaves out alphas below 1/255, which every
+/// splat has from 3.4 deviations on.
+const REACH_DEVIATIONS: f64 = 4.0;
+/// The renderer widens splats by a fraction of a pixel; with this many pixels more, none is missed.
+const REACH_MORE_PX: f64 = 2.0;
 /// Below this alpha the splats show too little to have a colour.
 const ALPHA_LEAST: f32 = 0.1;
 
 /// Renders splats from above.
-pub(super) struct Painter {
-    renderer: Renderer,
+pub(super) struct Painter<'a> {
+    splats: &'a Splats,
     frame: LocalFrame,
+    threads: usize,
 }
 
-impl Painter {
-    /// Copies the splats, which are in `frame`.
-    pub(super) fn new(splats: &Splats, frame: LocalFrame, threads: usize) -> Self {
-        Self { renderer: Renderer::new(splats, threads), frame }
+impl<'a> Painter<'a> {
+    /// The splats are in `frame`.
+    pub(super) fn new(splats: &'a Splats, frame: LocalFrame, threads: usize) -> Self {
+        Self { splats, frame, threads }
     }
 
     /// Renders the colours of all pixels: red, green, blue, and 255 where there is a height and a colour. Pixels beyond
     /// have colours too if they are in a tile that has any, so that the overviews are not dark at the edge of the map.
     /// `on_tile` gets the number of tiles that are done, and of all.
     pub(super) fn paint(
-        &mut self,
+        &self,
         lattice: &Lattice,
         heights: &mut Tiles<f32>,
         colors: &mut Tiles<[u8; 4]>,
@@ -63,7 +68,7 @@ impl Painter {
     }
 
     fn paint_window(
-        &mut self,
+        &self,
         lattice: &Lattice,
         window: Window,
         heights: &[f32],
@@ -79,7 +84,13 @@ impl Painter {
         }
         let plane_m = 0.5 * (range_m[0] + range_m[1]);
         let camera = camera_above(lattice, window, plane_m)?;
-        let rendering = self.renderer.render(&self.frame.local_camera(&camera));
+        let camera_local = self.frame.local_camera(&camera);
+        // Only these are projected: of a large map, a tile sees a few.
+        let seen = self.seen(&camera_local);
+        if seen.is_empty() {
+            return Ok(vec![[0; 4]; columns.len()]);
+        }
+        let rendering = Renderer::new(&seen, self.threads).render(&camera_local);
         let color = |(column, height): (&Column, &f32)| {
             let z = z_of((column, height));
             let point = column.at.extend(if z.is_nan() { plane_m } else { z });
@@ -87,6 +98,23 @@ impl Painter {
             Some([red, green, blue, if z.is_nan() { 0 } else { 255 }])
         };
         Ok(columns.iter().zip(heights).map(|both| color(both).unwrap_or([0; 4])).collect())
+    }
+
+    /// The splats that a camera far above may see, in their order.
+    fn seen(&self, camera: &Camera) -> Splats {
+        let size = DVec2::from(camera.size_px.map(f64::from));
+        let is_seen = |splat: &usize| {
+            let mean = DVec3::from_array(self.splats.means[*splat].map(f64::from));
+            let [a, b, c] = self.splats.log_scales[*splat].map(f64::from);
+            let Some((px, depth)) = camera.project_with_depth(mean) else { return false };
+            let deviation_px = a.max(b).max(c).exp() * camera.focal_px.max_element() / depth;
+            let reach = REACH_DEVIATIONS * deviation_px + REACH_MORE_PX;
+            px.cmpge(DVec2::splat(-reach)).all() && px.cmple(size + reach).all()
+        };
+        let indices: Vec<usize> = (0..self.splats.len()).into_par_iter().filter(is_seen).collect();
+        let mut seen = Splats::with_capacity(indices.len(), self.splats.sh_degree);
+        indices.into_iter().for_each(|splat| seen.push_from(self.splats, splat));
+        seen
     }
 }
 

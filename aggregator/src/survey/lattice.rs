@@ -6,7 +6,7 @@
 //! What it knows nothing about: what pixels show.
 
 use cosurf_geo::GeoError;
-use glam::{DVec2, DVec3};
+use glam::DVec2;
 
 use super::error::SurveyError;
 use super::place::{Column, Place};
@@ -32,11 +32,13 @@ pub(super) struct Lattice {
 }
 
 /// The ground that a map should show.
-#[derive(Clone, Debug, Default)]
+#[derive(Clone, Copy, Debug, PartialEq)]
 pub(super) struct Extent {
-    /// Places on its surface, in the frame of the site, metres.
-    pub(super) places: Vec<DVec3>,
-    /// World height of half of them, metres.
+    /// Least easting and northing, metres.
+    pub(super) low: DVec2,
+    /// Greatest easting and northing, metres; below `low` if there is nothing to show.
+    pub(super) high: DVec2,
+    /// World height of half of the ground, metres.
     pub(super) median_m: f64,
 }
 
@@ -59,13 +61,8 @@ impl Window {
 impl Lattice {
     /// The smallest map with pixels of the side `gsd_m` that shows all of the extent.
     pub(super) fn around(place: Place, extent: &Extent, gsd_m: f64) -> Result<Self, SurveyError> {
-        let mut low = DVec2::splat(f64::INFINITY);
-        let mut high = -low;
-        for at in &extent.places {
-            let map = place.map_from_enu(*at)?.truncate();
-            (low, high) = (low.min(map), high.max(map));
-        }
-        if extent.places.is_empty() {
+        let Extent { low, high, median_m } = *extent;
+        if !low.cmple(high).all() {
             return Err(SurveyError::NothingSeen);
         }
         let cell = |metres: f64| (metres / gsd_m).floor();
@@ -80,7 +77,7 @@ impl Lattice {
             return Err(SurveyError::TooLarge { gsd_m, size_px, side_max_px: SIDE_MAX_PX, enough_m });
         }
         let size_px = size.map(|side| side as u32);
-        Ok(Self { place, gsd_m, first: [west as i64, north as i64], size_px, ground_m: extent.median_m })
+        Ok(Self { place, gsd_m, first: [west as i64, north as i64], size_px, ground_m: median_m })
     }
 
     pub(super) fn place(&self) -> &Place {
@@ -173,13 +170,23 @@ fn round_with(value: f64, round: impl Fn(f64) -> f64) -> f64 {
 #[cfg(test)]
 pub(super) mod tests {
     #![allow(clippy::unwrap_used)]
+    use glam::DVec3;
+
     use super::super::place::tests::place;
     use super::*;
 
+    /// The extent of some places in the world.
+    fn extent(places: &[DVec3]) -> Extent {
+        let map = |at: &DVec3| place().map_from_enu(*at).unwrap().truncate();
+        let low = places.iter().map(map).fold(DVec2::INFINITY, DVec2::min);
+        let high = places.iter().map(map).fold(DVec2::NEG_INFINITY, DVec2::max);
+        Extent { low, high, median_m: places.first().map_or(0.0, |at| at.z) }
+    }
+
     /// A map of the ground between two corners, world metres, at z = 5 m.
     pub(in crate::survey) fn lattice(west_south: [f64; 2], east_north: [f64; 2], gsd_m: f64) -> Lattice {
-        let places = [west_south, east_north].map(|[x, y]| DVec3::new(x, y, 5.0)).to_vec();
-        Lattice::around(place(), &Extent { places, median_m: 5.0 }, gsd_m).unwrap()
+        let places = [west_south, east_north].map(|[x, y]| DVec3::new(x, y, 5.0));
+        Lattice::around(place(), &extent(&places), gsd_m).unwrap()
     }
 
     #[test]
@@ -215,11 +222,11 @@ pub(super) mod tests {
 
     #[test]
     fn maps_that_are_too_large_are_refused_with_what_would_do() {
-        let extent = Extent { places: vec![DVec3::ZERO, DVec3::new(9000.0, 100.0, 0.0)], median_m: 0.0 };
-        let error = Lattice::around(place(), &extent, 0.01).unwrap_err().to_string();
+        let wide = extent(&[DVec3::ZERO, DVec3::new(9000.0, 100.0, 0.0)]);
+        let error = Lattice::around(place(), &wide, 0.01).unwrap_err().to_string();
         assert!(error.contains("use --gsd 0.18 or more"), "{error}");
-        assert!(Lattice::around(place(), &extent, 0.18).is_ok());
-        let none = Lattice::around(place(), &Extent::default(), 0.1).unwrap_err();
+        assert!(Lattice::around(place(), &wide, 0.18).is_ok());
+        let none = Lattice::around(place(), &extent(&[]), 0.1).unwrap_err();
         assert!(matches!(none, SurveyError::NothingSeen), "{none}");
     }
 

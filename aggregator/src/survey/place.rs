@@ -3,7 +3,7 @@
 //! What it knows nothing about: pixels and models.
 
 use cosurf_geo::{GeoError, Geodetic, Georeference, Projection, SiteFrame};
-use glam::{DVec2, DVec3};
+use glam::{DAffine3, DVec2, DVec3};
 
 /// The mapping between the frame of a site (ENU, metres) and a map (easting, northing, ellipsoidal height, metres).
 #[derive(Debug)]
@@ -28,6 +28,16 @@ impl Place {
 
     pub(super) fn projection(&self) -> &Projection {
         &self.projection
+    }
+
+    /// The origin of the site.
+    pub(super) fn origin(&self) -> Geodetic {
+        self.site.origin()
+    }
+
+    /// The mapping from the frame of the site to ECEF, metres.
+    pub(super) fn ecef_from_enu(&self) -> DAffine3 {
+        self.site.ecef_from_enu()
     }
 
     /// Easting, northing and ellipsoidal height of a position in the world.

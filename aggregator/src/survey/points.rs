@@ -1,90 +1,120 @@
-//! The surface as a cloud of points in a LAZ file.
+//! The surface as a cloud of points in a COPC file: a LAZ file whose points lie in an octree, so that programs read only
+//! the part and the detail that they show.
 //!
 //! The points are the vertices of the mesh, not the cells of the map: those would only repeat the heights, and have no
 //! points on walls and below roofs. The file is LAS 1.4 with points of format 7, the plainest that has colours and whose
-//! coordinate system is told as WKT, as the specification (ASPRS, LAS 1.4 R15) wants.
+//! coordinate system is told as WKT, as the specification (COPC 1.0) wants.
 //!
 //! What it knows nothing about: pixels of maps.
 
-use std::io::{self, BufWriter};
+use std::fs::File;
+use std::io;
 use std::path::Path;
 
-use cosurf_geo::GeoError;
+use copc_core::Bounds;
+use copc_writer::{CopcPointFields, CopcPointSource, CopcWriteMetadata, CopcWriterParams, write_source};
 use cosurf_scene::{LocalFrame, Mesh, SceneError, atomic};
 use glam::DVec3;
-use las::point::Format;
-use las::{Builder, Color, Header, Point, Transform, Vector, Writer};
 
 use super::error::SurveyError;
-use super::heights::Surface;
 use super::place::Place;
 
 /// Coordinates are multiples of this, metres. A millimetre reaches 2,000 km in 32 bits.
 const STEP_M: f64 = 0.001;
-/// Number of the point format with colours.
-const FORMAT_WITH_COLORS: u8 = 7;
 /// Offsets of coordinates are multiples of this, metres, so that files of one site have the same.
 const OFFSET_STEP_M: f64 = 1000.0;
 
-/// Writes the vertices that enough cameras see, and returns how many. The mesh is the one that the surface was made of.
+/// Writes the vertices that enough cameras see, and returns how many.
 pub(super) fn write_points(
     path: &Path,
     mesh: &Mesh,
-    surface: &Surface,
+    is_seen: &[bool],
     place: &Place,
     frame: &LocalFrame,
 ) -> Result<u64, SurveyError> {
-    let first = place.map_from_enu(surface.seen.places.first().copied().unwrap_or_default())?;
-    let header = header(place, first).map_err(|error| SceneError::malformed(path, error.to_string()))?;
-    let mut count = 0;
-    let mut outside: Option<GeoError> = None;
-    atomic::write(path, |file| {
-        // The writer wants a file of its own; both have the same place in it.
-        let own = BufWriter::new(file.get_ref().try_clone()?);
-        let mut writer = Writer::new(own, header).map_err(io::Error::other)?;
-        for vertex in (0..mesh.positions.len()).filter(|vertex| surface.is_seen[*vertex]) {
-            let local = DVec3::from_array(mesh.positions[vertex].map(f64::from));
-            let at = match place.map_from_enu(frame.world_from_local(local)) {
-                Ok(at) => at,
-                Err(error) => {
-                    outside = Some(error);
-                    return Err(io::Error::other("outside of the coordinate system"));
-                }
-            };
-            writer.write_point(point(at, mesh.rgb.get(vertex).copied())).map_err(io::Error::other)?;
-            count += 1;
+    let points = Points::of(mesh, is_seen, place, frame)?;
+    // The library wants a path. A file that a kill leaves behind has a name that the next run removes.
+    let folder = path.parent().unwrap_or(Path::new("."));
+    let temporary = tempfile::Builder::new()
+        .prefix(".points")
+        .suffix(".partial")
+        .tempfile_in(folder)
+        .map_err(|cause| SceneError::io(folder, cause))?;
+    let parameters = CopcWriterParams::default();
+    write_source(temporary.path(), &points, true, points.bounds(), &parameters, &points.metadata(place))
+        .map_err(|error| SceneError::io(path, io::Error::other(error)))?;
+    atomic::write(path, |file| io::copy(&mut File::open(temporary.path())?, file).map(drop))?;
+    Ok(points.len() as u64)
+}
+
+/// The points in the coordinate system.
+struct Points<'a> {
+    mesh: &'a Mesh,
+    /// Their vertices.
+    vertices: Vec<u32>,
+    /// Easting, northing and height, multiples of [`STEP_M`] from the offset.
+    at: Vec<[i32; 3]>,
+    offset: DVec3,
+}
+
+impl<'a> Points<'a> {
+    fn of(mesh: &'a Mesh, is_seen: &[bool], place: &Place, frame: &LocalFrame) -> Result<Self, SurveyError> {
+        let vertices: Vec<u32> =
+            (0..mesh.positions.len() as u32).filter(|vertex| is_seen[*vertex as usize]).collect();
+        let map = |vertex: u32| {
+            let local = mesh.positions[vertex as usize].map(f64::from);
+            place.map_from_enu(frame.world_from_local(local.into()))
+        };
+        let first = map(*vertices.first().ok_or(SurveyError::NothingSeen)?)?;
+        let offset = (first / OFFSET_STEP_M).floor() * OFFSET_STEP_M;
+        let mut at = Vec::with_capacity(vertices.len());
+        for vertex in &vertices {
+            at.push(((map(*vertex)? - offset) / STEP_M).round().to_array().map(|steps| steps as i32));
         }
-        writer.close().map_err(io::Error::other)
-    })
-    .map_err(|error| outside.map_or_else(|| SurveyError::from(error), SurveyError::from))?;
-    Ok(count)
+        Ok(Self { mesh, vertices, at, offset })
+    }
+
+    fn at(&self, index: usize) -> DVec3 {
+        self.offset + DVec3::from_array(self.at[index].map(f64::from)) * STEP_M
+    }
+
+    fn bounds(&self) -> Bounds {
+        let tuple = |at: DVec3| (at.x, at.y, at.z);
+        let (mut low, mut high) = (DVec3::INFINITY, DVec3::NEG_INFINITY);
+        for index in 0..self.at.len() {
+            (low, high) = (low.min(self.at(index)), high.max(self.at(index)));
+        }
+        Bounds::new(tuple(low), tuple(high))
+    }
+
+    fn metadata(&self, place: &Place) -> CopcWriteMetadata {
+        let mut metadata = CopcWriteMetadata::default();
+        metadata.wkt_crs = Some(place.projection().wkt().to_owned());
+        metadata.system_identifier = Some("Gaussian splats".into());
+        metadata.generating_software = Some(concat!("cosurf ", env!("CARGO_PKG_VERSION")).into());
+        metadata.scale = Some((STEP_M, STEP_M, STEP_M));
+        metadata.offset = Some((self.offset.x, self.offset.y, self.offset.z));
+        metadata
+    }
 }
 
-fn header(place: &Place, first: DVec3) -> las::Result<Header> {
-    let mut builder = Builder::from((1, 4));
-    builder.point_format = Format::new(FORMAT_WITH_COLORS)?;
-    builder.point_format.is_compressed = true;
-    builder.generating_software = concat!("cosurf ", env!("CARGO_PKG_VERSION")).into();
-    builder.system_identifier = "Gaussian splats".into();
-    let transform =
-        |value: f64| Transform { scale: STEP_M, offset: (value / OFFSET_STEP_M).floor() * OFFSET_STEP_M };
-    builder.transforms = Vector { x: transform(first.x), y: transform(first.y), z: transform(first.z) };
-    let mut header = builder.into_header()?;
-    header.set_wkt_crs(place.projection().wkt().as_bytes().to_vec())?;
-    Ok(header)
-}
+impl CopcPointSource for Points<'_> {
+    fn len(&self) -> usize {
+        self.vertices.len()
+    }
 
-fn point(at: DVec3, rgb: Option<[u8; 3]>) -> Point {
-    // 8 bits become 16 as the specification wants: 255 becomes 65,535.
-    let [red, green, blue] = rgb.unwrap_or_default().map(|value| u16::from(value) * 257);
-    Point {
-        x: at.x,
-        y: at.y,
-        z: at.z,
-        return_number: 1,
-        number_of_returns: 1,
-        color: Some(Color { red, green, blue }),
-        gps_time: Some(0.0),
-        ..Point::default()
+    fn xyz(&self, index: usize) -> copc_core::Result<(f64, f64, f64)> {
+        let at = self.at(index);
+        Ok((at.x, at.y, at.z))
+    }
+
+    fn fields_into(&self, index: usize, out: &mut CopcPointFields) -> copc_core::Result<()> {
+        let at = self.at(index);
+        (out.x, out.y, out.z) = (at.x, at.y, at.z);
+        (out.return_number, out.number_of_returns) = (1, 1);
+        // 8 bits become 16 as the specification wants: 255 becomes 65,535.
+        let rgb = self.mesh.rgb.get(self.vertices[index] as usize).copied().unwrap_or_default();
+        [out.red, out.green, out.blue] = rgb.map(|value| u16::from(value) * 257);
+        Ok(())
     }
 }

@@ -1,24 +1,15 @@
-//! The model in a folder: its cameras, its mesh, and the splats of its surface.
+//! The model in a folder: its cameras, its mesh, and its splats.
 //!
 //! What it knows nothing about: maps.
 
 use std::ops::ControlFlow;
 use std::path::{Path, PathBuf};
 
-use cosurf_engine::budget::Viewing;
-use cosurf_scene::{Camera, Dataset, LocalFrame, Mesh, SceneError, Splats, ply};
-use glam::DVec3;
-use rayon::prelude::*;
+use cosurf_engine::Rendering;
+use cosurf_scene::{Camera, Dataset, LocalFrame, Mesh, Splats, ply};
 
-use super::colors::PICTURE_PX;
 use super::error::SurveyError;
-use super::heights::Surface;
-use crate::mesh::{FuseEvent, FuseSettings, MeshError, check_memory, mesh_model};
-
-/// A splat more than this many voxels above the mesh floats: where views agree, the surface is within a voxel or two.
-const FLOATING_VOXELS: f64 = 5.0;
-/// The mesh counts up to this many voxels beside a splat, so that splats at the edge of a roof do not float.
-const BESIDE_VOXELS: f64 = 2.0;
+use crate::mesh::{FuseEvent, FuseSettings, check_memory, mesh_model, render_each};
 
 /// A model that has not been read.
 #[derive(Debug)]
@@ -39,14 +30,6 @@ pub(super) struct Relief {
     pub(super) voxel_m: f64,
 }
 
-/// The splats that lie on the surface.
-pub(super) struct Kept {
-    /// In the frame of the scene.
-    pub(super) splats: Splats,
-    /// Number of those that float above the surface.
-    pub(super) left_out: usize,
-}
-
 impl Scene {
     /// Reads cameras and header. An error if the memory is too small for the splats.
     pub(super) fn open(folder: &Path, memory_bytes: u64) -> Result<Self, SurveyError> {
@@ -56,11 +39,6 @@ impl Scene {
         let scene = Self { model, cameras, frame };
         let (splats, sh_degree) = ply::size(&scene.model)?;
         check_memory(splats, sh_degree, &scene.local_cameras(), None, memory_bytes)?;
-        let viewing = Viewing { splats, sh_degree, size_px: PICTURE_PX };
-        let needed_bytes = viewing.bytes(viewing.usual_pairs());
-        if needed_bytes > memory_bytes {
-            return Err(MeshError::TooLittleMemory { splats, needed_bytes, memory_bytes }.into());
-        }
         Ok(scene)
     }
 
@@ -77,26 +55,34 @@ impl Scene {
             on_event(event);
             ControlFlow::Continue(())
         });
-        let fused = fused.map_err(SurveyError::from)?;
+        let mut fused = fused.map_err(SurveyError::from)?;
+        fused.mesh.normals = Vec::new(); // nothing here needs them
         Ok(Relief { voxel_m: fused.voxel_m * self.frame.unit(), mesh: fused.mesh })
     }
 
-    /// The splats, without those that float above the surface: no camera looks straight down from above them, so nothing
-    /// in training removed them, and on a map they would hide the ground.
-    pub(super) fn splats_of(&self, surface: &Surface, voxel_m: f64) -> Result<Kept, SceneError> {
+    /// Calls `visit` with each camera, in the world, and its rendering, whose lengths are in units of the frame. Pictures
+    /// shrink to fit into the memory.
+    pub(super) fn render_each(
+        &self,
+        memory_bytes: u64,
+        threads: usize,
+        mut visit: impl FnMut(&Camera, &Rendering) -> Result<(), SurveyError>,
+    ) -> Result<(), SurveyError> {
         let splats = ply::read(&self.model, &self.frame)?;
-        let floats = |mean: &[f32; 3]| {
-            let at = self.frame.world_from_local(DVec3::from_array(mean.map(f64::from)));
-            match surface.highest_near(at.truncate(), BESIDE_VOXELS * voxel_m) {
-                Some(highest_m) => at.z > highest_m + FLOATING_VOXELS * voxel_m,
-                None => at.z > surface.lowest_eye_m,
-            }
-        };
-        let floating: Vec<u32> = (0..splats.len() as u32)
-            .into_par_iter()
-            .filter(|splat| floats(&splats.means[*splat as usize]))
-            .collect();
-        Ok(Kept { splats: splats.without(&floating), left_out: floating.len() })
+        let cameras = self.local_cameras();
+        render_each(splats, &cameras, memory_bytes, threads, |camera, rendering| {
+            visit(&self.frame.world_camera(camera), rendering)
+        })
+    }
+
+    /// Calls `visit` with all splats, in the frame of the scene, at most `most` at a time.
+    pub(super) fn splats(&self, most: usize, visit: impl FnMut(&Splats)) -> Result<(), SurveyError> {
+        Ok(ply::read_parts(&self.model, &self.frame, most, visit)?)
+    }
+
+    /// World height of the lowest camera, metres.
+    pub(super) fn lowest_eye_m(&self) -> f64 {
+        self.cameras.iter().map(|camera| camera.cam_from_world.center().z).fold(f64::INFINITY, f64::min)
     }
 
     fn local_cameras(&self) -> Vec<Camera> {

@@ -10,9 +10,10 @@ use cosurf_scene::{Camera, LocalFrame, Splats, camera_list, ply};
 use cosurf_tests::skips::skip;
 use glam::{DVec2, DVec3};
 
-use super::heights::{Surface, find_heights};
+use super::heights::{Ground, Surface, find_heights};
 use super::lattice::Lattice;
 use super::place::Place;
+use super::quadtree::Quadtree;
 use super::scene::Scene;
 use super::tiles::Tiles;
 use super::witnesses::Witnesses;
@@ -68,8 +69,12 @@ fn order(folder: &Path) -> SurveyOrder {
 fn heights(scene: &Scene, folder: &Path, tile_px: u32) -> (Lattice, Vec<f32>) {
     let relief = scene.mesh(MEMORY_BYTES, 2, |_| ()).unwrap();
     let witnesses = Witnesses::of(&scene.cameras);
-    let surface = Surface::of(&relief.mesh, &scene.frame, &scene.cameras, &witnesses).unwrap();
-    let lattice = Lattice::around(Place::new(&georeference()).unwrap(), &surface.seen, 0.1).unwrap();
+    let place = Place::new(&georeference()).unwrap();
+    let ground = Ground::of(&relief.mesh, &scene.frame, &scene.cameras, &witnesses, &place).unwrap();
+    let tree = Quadtree::of(&relief.mesh, &ground.is_seen).unwrap();
+    let surface =
+        Surface { mesh: &relief.mesh, tree: &tree, frame: &scene.frame, ceiling_m: ground.ceiling_m };
+    let lattice = Lattice::around(place, &ground.extent, 0.1).unwrap();
     let [width, height] = lattice.size_px().map(|side| side as usize);
     let mut tiles = Tiles::new(folder, lattice.size_px(), tile_px).unwrap();
     find_heights(&surface, &witnesses, &lattice, &mut tiles, |_, _| ()).unwrap();

@@ -68,6 +68,27 @@ impl<T: Pod> Tiles<T> {
         Ok(values)
     }
 
+    /// The values of a tile and of the pixels around it, up to `margin_px` away but not beyond the edges of the map, and
+    /// where they are.
+    pub(super) fn read_around(
+        &mut self,
+        tile: usize,
+        margin_px: u32,
+    ) -> Result<(Window, Vec<T>), SceneError> {
+        let Window { at, size } = self.window(tile);
+        let first = at.map(|at| at.saturating_sub(margin_px));
+        let end = [0, 1].map(|axis| (at[axis] + size[axis] + margin_px).min(self.size_px[axis]));
+        let around = Window { at: first, size: [end[0] - first[0], end[1] - first[1]] };
+        let mut values = vec![T::zeroed(); around.pixels()];
+        for y in (first[1] / self.tile_px)..=((end[1] - 1) / self.tile_px) {
+            for x in (first[0] / self.tile_px)..=((end[0] - 1) / self.tile_px) {
+                let other = self.tile_of([x * self.tile_px, y * self.tile_px]);
+                copy(&self.read(other)?, self.window(other), &mut values, around);
+            }
+        }
+        Ok((around, values))
+    }
+
     fn across_and_down(&self) -> [usize; 2] {
         self.size_px.map(|side| side.div_ceil(self.tile_px) as usize)
     }
@@ -75,6 +96,18 @@ impl<T: Pod> Tiles<T> {
     fn seek(&mut self, tile: usize) -> io::Result<()> {
         let bytes = u64::from(self.tile_px).pow(2) * size_of::<T>() as u64;
         self.file.seek(SeekFrom::Start(tile as u64 * bytes)).map(drop)
+    }
+}
+
+/// Copies the pixels that two windows share.
+fn copy<T: Copy>(from: &[T], source: Window, to: &mut [T], target: Window) {
+    let first = [0, 1].map(|axis| source.at[axis].max(target.at[axis]));
+    let end =
+        [0, 1].map(|axis| (source.at[axis] + source.size[axis]).min(target.at[axis] + target.size[axis]));
+    let index = |of: Window, y: u32| ((y - of.at[1]) * of.size[0] + first[0] - of.at[0]) as usize;
+    for y in first[1]..end[1] {
+        let count = (end[0] - first[0]) as usize;
+        to[index(target, y)..][..count].copy_from_slice(&from[index(source, y)..][..count]);
     }
 }
 
@@ -97,5 +130,11 @@ mod tests {
         for tile in 0..6 {
             assert_eq!(tiles.read(tile).unwrap(), values(tile));
         }
+        let (window, around) = tiles.read_around(4, 3).unwrap();
+        assert_eq!(window, Window { at: [29, 29], size: [38, 11] });
+        let number = |x: u32, y: u32| around[((y - 29) * 38 + x - 29) as usize] - 7;
+        let found =
+            [number(29, 29), number(32, 31), number(66, 29), number(31, 39), number(50, 35), number(66, 39)];
+        assert_eq!(found, [0, 1, 2, 3, 4, 5]);
     }
 }

@@ -1,6 +1,6 @@
 //! The frame of a site.
 
-use glam::{DMat3, DVec3};
+use glam::{DAffine3, DMat3, DVec3};
 
 use crate::ellipsoid::Geodetic;
 use crate::error::GeoError;
@@ -31,6 +31,11 @@ impl SiteFrame {
     /// The origin.
     pub fn origin(&self) -> Geodetic {
         self.origin
+    }
+
+    /// The mapping from the frame to the earth-centred, earth-fixed frame (ECEF), metres.
+    pub fn ecef_from_enu(&self) -> DAffine3 {
+        DAffine3::from_mat3_translation(self.enu_from_ecef.transpose(), self.origin_ecef)
     }
 
     /// A place in the frame, metres.
@@ -73,6 +78,8 @@ mod tests {
         for enu in [DVec3::ZERO, DVec3::new(2_000.0, -3_000.0, 120.0), DVec3::new(-1.0, 0.5, -20.0)] {
             let back = site.enu_from_geodetic(&site.geodetic_from_enu(enu));
             assert!(back.distance(enu) < 1e-6, "{enu} {back}");
+            let ecef = site.ecef_from_enu().transform_point3(enu);
+            assert!(ecef.distance(site.geodetic_from_enu(enu).ecef()) < 1e-6, "{enu} {ecef}");
         }
         // The earth falls away below the plane: by d² / 2 r.
         let far = site.geodetic_from_enu(DVec3::new(1_000.0, 0.0, 0.0));

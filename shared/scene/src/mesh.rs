@@ -29,7 +29,7 @@ impl Mesh {
     pub fn write(&self, path: &Path) -> Result<(), SceneError> {
         match path.extension().and_then(|extension| extension.to_str()) {
             Some("ply") => self.write_ply(path),
-            Some("glb") => self.write_glb(path),
+            Some("glb") => self.write_glb(path, &serde_json::Map::new()),
             _ => Err(SceneError::malformed(path, "meshes are written as .ply or .glb; choose one of these")),
         }
     }
@@ -41,10 +41,15 @@ impl Mesh {
     }
 
     /// Writes a binary glTF 2.0 file, atomically. The world's z axis is taken as up, as in the drone scenes; a rotation
-    /// of the file's node maps it to the y axis, which is up in glTF. The node also holds the origin. Errors: a mesh
-    /// without triangles, or a file of more than 4 GiB.
-    pub fn write_glb(&self, path: &Path) -> Result<(), SceneError> {
+    /// of the file's node maps it to the y axis, which is up in glTF. The node also holds the origin. Without normals, viewers
+    /// show the colours as they are (`KHR_materials_unlit`), because those of photographs have their light already. `extras`
+    /// are written into the file's `asset`. Errors: a mesh without triangles, or a file of more than 4 GiB.
+    pub fn write_glb(
+        &self,
+        path: &Path,
+        extras: &serde_json::Map<String, serde_json::Value>,
+    ) -> Result<(), SceneError> {
         self.assert_whole();
-        glb::write(path, self)
+        glb::write(path, self, extras)
     }
 }

@@ -5,7 +5,7 @@ use std::io::{self, Write};
 use std::path::Path;
 
 use glam::DVec3;
-use serde_json::{Value, json};
+use serde_json::{Map, Value, json};
 
 use super::data::Mesh;
 use crate::{SceneError, atomic};
@@ -20,16 +20,18 @@ const FLOAT: u32 = 5126;
 const ARRAY_BUFFER: u32 = 34962;
 /// glTF's number for a buffer view of vertex indices.
 const ELEMENT_ARRAY_BUFFER: u32 = 34963;
+/// The extension for materials that are shown without light.
+const UNLIT: &str = "KHR_materials_unlit";
 /// Bytes of the headers of the file, of the JSON chunk and of the binary chunk.
 const HEADS_BYTES: u64 = 12 + 8 + 8;
 /// The quaternion (xyzw) of a rotation by -90° about x, which maps z to y.
 const Y_FROM_Z: [f32; 4] = [-std::f32::consts::FRAC_1_SQRT_2, 0.0, 0.0, std::f32::consts::FRAC_1_SQRT_2];
 
-pub(super) fn write(path: &Path, mesh: &Mesh) -> Result<(), SceneError> {
+pub(super) fn write(path: &Path, mesh: &Mesh, extras: &Map<String, Value>) -> Result<(), SceneError> {
     if mesh.triangles.is_empty() {
         return Err(SceneError::malformed(path, "a glb file needs triangles; write the points as .ply"));
     }
-    let (mut json, numbers_bytes) = describe(mesh);
+    let (mut json, numbers_bytes) = describe(mesh, extras);
     // The length of a chunk must be a multiple of four bytes. JSON is padded with spaces.
     json.resize(json.len().next_multiple_of(4), b' ');
     let total_bytes = HEADS_BYTES + json.len() as u64 + numbers_bytes;
@@ -70,7 +72,7 @@ impl Arrays {
 }
 
 /// Returns the JSON, and the length in bytes of the binary chunk that the JSON describes.
-fn describe(mesh: &Mesh) -> (Vec<u8>, u64) {
+fn describe(mesh: &Mesh, extras: &Map<String, Value>) -> (Vec<u8>, u64) {
     let mut arrays = Arrays::default();
     let (min, max) = bounds(mesh);
     let vertices = mesh.positions.len();
@@ -91,12 +93,19 @@ fn describe(mesh: &Mesh) -> (Vec<u8>, u64) {
         // glTF moves a node after it has turned it.
         node["translation"] = json!([mesh.origin.x, mesh.origin.z, -mesh.origin.y]);
     }
-    let material = json!({
+    let mut material = json!({
         "pbrMetallicRoughness": {"metallicFactor": 0, "roughnessFactor": 1},
         "doubleSided": true, // the surface is open, so cameras may also see its back
     });
-    let document = json!({
-        "asset": {"version": "2.0", "generator": "cosurf"},
+    let mut asset = json!({"version": "2.0", "generator": "cosurf"});
+    if !extras.is_empty() {
+        asset["extras"] = Value::Object(extras.clone());
+    }
+    if mesh.normals.is_empty() {
+        material["extensions"] = json!({UNLIT: {}});
+    }
+    let mut document = json!({
+        "asset": asset,
         "scene": 0,
         "scenes": [{"nodes": [0]}],
         "nodes": [node],
@@ -106,6 +115,9 @@ fn describe(mesh: &Mesh) -> (Vec<u8>, u64) {
         "bufferViews": arrays.views,
         "accessors": arrays.accessors,
     });
+    if mesh.normals.is_empty() {
+        document["extensionsUsed"] = json!([UNLIT]);
+    }
     (document.to_string().into_bytes(), arrays.bytes)
 }
 

@@ -1,0 +1,210 @@
+//! The surface as triangles: `mesh.glb` (glTF 2.0), and the same as 3D Tiles 1.1 (`tileset.json` and the folder `tiles`)
+//! for viewers that load only what they show.
+//!
+//! The mesh is cut into the leaves of a quadtree, and each leaf is decimated to an error bound. Four decimated leaves,
+//! joined and decimated further, are the tile above them, and so on to the root. Vertices on the border between two tiles of
+//! one level stay, so neighbours fit together. `mesh.glb` is all leaves together.
+//!
+//! Colours belong to vertices, not to a picture: walls and the lower sides of roofs have colours of their own then, which an
+//! orthophoto cannot give, and decimation keeps vertices where colours change.
+//!
+//! What it knows nothing about: how the mesh was made, maps.
+//!
+//! Where to start reading: [`write_solid`]; [`decimate`] has the error bound.
+
+mod decimate;
+mod tileset;
+
+use std::collections::BTreeMap;
+use std::fs;
+use std::path::Path;
+
+use cosurf_scene::{LocalFrame, Mesh, SceneError, atomic};
+use rayon::prelude::*;
+use serde_json::{Map, Value, json};
+
+use super::error::SurveyError;
+use super::parts;
+use super::place::Place;
+use super::quadtree::{Key, Quadtree, parent, shared};
+use decimate::{Bound, Decimated, decimate};
+use tileset::{Bounds, Tile, tileset};
+
+/// Folder of the tiles.
+const FOLDER: &str = "tiles";
+/// The error of the finest tiles and of `mesh.glb`, as a share of a voxel: less than the mesh itself is wrong.
+const ERROR_VOXELS: f64 = 0.5;
+/// How many times as large the error of a tile is as that of the tiles below it. A tile then has about as many triangles as
+/// each of these.
+const COARSER: f64 = 3.0;
+
+/// What was written.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub(super) struct SolidSize {
+    /// Number of triangles of `mesh.glb`.
+    pub(super) triangles: usize,
+    /// Bound on its error, metres.
+    pub(super) error_m: f64,
+    /// Number of levels of detail of the tileset.
+    pub(super) levels: usize,
+}
+
+/// Writes the triangles of a tree. The mesh is in `frame`, with voxels of `voxel_m`.
+pub(super) fn write_solid(
+    out: &Path,
+    mesh: &Mesh,
+    tree: &Quadtree,
+    frame: &LocalFrame,
+    place: &Place,
+    voxel_m: f64,
+) -> Result<SolidSize, SurveyError> {
+    let folder = out.join(FOLDER);
+    fs::create_dir_all(&folder).map_err(|cause| SceneError::io(&folder, cause))?;
+    remove_tiles(&folder)?;
+    let bounds = |triangles: &[[u32; 3]]| {
+        let world =
+            |vertex: &u32| frame.world_from_local(mesh.positions[*vertex as usize].map(f64::from).into());
+        Bounds::around(triangles.as_flattened().iter().map(world))
+    };
+    let mut error_m = ERROR_VOXELS * voxel_m;
+    let bound = |error_m: f64| Bound { error: error_m / frame.unit() };
+    let is_shared = tree.shared_by_leaves(mesh);
+    let leaves: Vec<Key> = tree.leaves().collect();
+    let leaf = |key: &Key| {
+        let Decimated { triangles, .. } =
+            decimate(mesh, &tree.triangles(mesh, *key), &is_shared, bound(error_m));
+        (*key, Node { tile: Tile { bounds: bounds(&triangles), error_m: 0.0 }, triangles })
+    };
+    let mut level: BTreeMap<Key, Node> = leaves.par_iter().map(leaf).collect();
+    let all: Vec<[u32; 3]> = level.values().flat_map(|node| node.triangles.iter().copied()).collect();
+    parts::part(mesh, &all).out_of_frame(frame).write_glb(&out.join("mesh.glb"), &extras(place))?;
+    let size = SolidSize { triangles: all.len(), error_m, levels: tree.depth() as usize + 1 };
+    drop(all);
+
+    let mut tiles = BTreeMap::new();
+    for depth in (0..=tree.depth()).rev() {
+        for (key, node) in &level {
+            let name = tileset::name(depth, *key);
+            let part = parts::part(mesh, &node.triangles).out_of_frame(frame);
+            part.write_glb(&folder.join(name), &Map::new())?;
+            tiles.insert((depth, *key), node.tile);
+        }
+        if depth > 0 {
+            error_m *= COARSER;
+            level = coarser(mesh, level, bound(error_m), frame.unit());
+        }
+    }
+    let json = tileset(&tiles, FOLDER, place.ecef_from_enu());
+    atomic::write_bytes(&out.join("tileset.json"), json.to_string().as_bytes())?;
+    Ok(size)
+}
+
+/// Removes the tiles of an earlier run, of which there may have been more.
+fn remove_tiles(folder: &Path) -> Result<(), SceneError> {
+    let io = |cause| SceneError::io(folder, cause);
+    for entry in fs::read_dir(folder).map_err(io)? {
+        let path = entry.map_err(io)?.path();
+        if path.file_name().and_then(|name| name.to_str()).is_some_and(tileset::is_name) {
+            fs::remove_file(&path).map_err(|cause| SceneError::io(&path, cause))?;
+        }
+    }
+    Ok(())
+}
+
+/// A tile of the level that is worked on.
+struct Node {
+    tile: Tile,
+    triangles: Vec<[u32; 3]>,
+}
+
+/// The tiles above those of a level.
+fn coarser(mesh: &Mesh, level: BTreeMap<Key, Node>, bound: Bound, unit_m: f64) -> BTreeMap<Key, Node> {
+    let mut joined: BTreeMap<Key, Node> = BTreeMap::new();
+    for (key, mut node) in level {
+        match joined.get_mut(&parent(key)) {
+            Some(parent) => {
+                parent.triangles.append(&mut node.triangles);
+                parent.tile = parent.tile.joined(&node.tile);
+            }
+            None => _ = joined.insert(parent(key), node),
+        }
+    }
+    let is_shared = shared(
+        mesh.positions.len(),
+        joined.iter().flat_map(|(key, node)| node.triangles.iter().map(|triangle| (*key, *triangle))),
+    );
+    let decimated = |(key, node): (Key, Node)| {
+        let Decimated { triangles, error } = decimate(mesh, &node.triangles, &is_shared, bound);
+        // The errors of the levels below add up.
+        let error_m = node.tile.error_m + error * unit_m;
+        (key, Node { tile: Tile { error_m, ..node.tile }, triangles })
+    };
+    joined.into_par_iter().map(decimated).collect()
+}
+
+/// Where the mesh lies on the earth. glTF has no words of its own for that.
+fn extras(place: &Place) -> Map<String, Value> {
+    let origin = place.origin();
+    let extras = json!({
+        "frame": "x east, y up, z south of the origin, metres",
+        "origin": {
+            "latitude_deg": origin.latitude_deg,
+            "longitude_deg": origin.longitude_deg,
+            "height_m": origin.height_m,
+        },
+        "epsg": place.projection().epsg(),
+    });
+    match extras {
+        Value::Object(extras) => extras,
+        _ => Map::new(),
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    #![allow(clippy::unwrap_used)]
+    use super::super::place::tests::place;
+    use super::*;
+
+    /// A hilly square of 400 × 400 cells of 0.5 m, whose colour changes in the middle.
+    fn hills() -> Mesh {
+        let side = 401u32;
+        let at = |i: u32| [i % side, i / side].map(|of| 0.5 * of as f32);
+        let height = |[x, y]: [f32; 2]| 3.0 * (0.1 * x).sin() * (0.08 * y).cos();
+        let vertices = 0..side * side;
+        let cells = (0..side * (side - 1)).filter(|i| i % side + 1 < side);
+        Mesh {
+            positions: vertices.clone().map(|i| [at(i)[0], at(i)[1], height(at(i))]).collect(),
+            rgb: vertices.map(|i| if at(i)[0] < 100.0 { [200, 40, 40] } else { [40, 40, 200] }).collect(),
+            triangles: cells.flat_map(|i| [[i, i + 1, i + side + 1], [i, i + side + 1, i + side]]).collect(),
+            ..Mesh::default()
+        }
+    }
+
+    #[test]
+    fn tiles_fit_together_and_errors_grow_towards_the_root() {
+        let mesh = hills();
+        let out = tempfile::tempdir().unwrap();
+        fs::create_dir(out.path().join(FOLDER)).unwrap();
+        fs::write(out.path().join("tiles/9-3.glb"), "of an earlier run").unwrap();
+        let tree = Quadtree::of(&mesh, &vec![true; mesh.positions.len()]).unwrap();
+        let size = write_solid(out.path(), &mesh, &tree, &LocalFrame::WORLD, &place(), 0.1).unwrap();
+        assert_eq!(size.error_m, 0.05);
+        assert!(size.levels > 1 && size.triangles < mesh.triangles.len() / 4, "{size:?}");
+        let json: Value =
+            serde_json::from_slice(&fs::read(out.path().join("tileset.json")).unwrap()).unwrap();
+        assert_eq!(json["asset"]["version"], "1.1");
+        let mut pending = vec![(json["root"].clone(), f64::INFINITY)];
+        let mut names = Vec::new();
+        while let Some((tile, most_m)) = pending.pop() {
+            let error_m = tile["geometricError"].as_f64().unwrap();
+            assert!(error_m < most_m, "{error_m} m below {most_m} m");
+            names.push(tile["content"]["uri"].as_str().unwrap().to_owned());
+            let children = tile["children"].as_array().cloned().unwrap_or_default();
+            assert_eq!(children.is_empty(), error_m == 0.0);
+            pending.extend(children.into_iter().map(|child| (child, error_m)));
+        }
+        assert_eq!(names.len(), fs::read_dir(out.path().join(FOLDER)).unwrap().count());
+        assert!(names.iter().all(|name| out.path().join(name).is_file()));
+    }
+}

@@ -1,0 +1,170 @@
+//! How well the views agree: for each pixel of the map, how many views see its surface, and how far from it they do.
+//!
+//! Each view's depth is compared with the height that was found. A view whose depth is more than a few voxels away sees
+//! something else there, in front of the surface, and does not count.
+//!
+//! What it knows nothing about: files; how heights were found.
+//!
+//! Where to start reading: [`find_views`].
+
+use bytemuck::{Pod, Zeroable};
+use cosurf_engine::Rendering;
+use cosurf_scene::{Camera, Frustum};
+use glam::{DVec2, DVec3};
+use rayon::prelude::*;
+
+use super::error::SurveyError;
+use super::lattice::Lattice;
+use super::place::Column;
+use super::scene::Scene;
+use super::tiles::Tiles;
+
+/// A depth farther than this many voxels from the surface shows another surface: the fusion's truncation is as wide.
+const SAME_VOXELS: f64 = 4.0;
+/// Below this alpha a picture shows too little to have a depth.
+const ALPHA_LEAST: f32 = 0.5;
+
+/// The views of a pixel.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Pod, Zeroable)]
+#[repr(C)]
+pub(super) struct Views {
+    /// Number of views.
+    pub(super) count: f32,
+    /// Sum of the squares of the differences between the heights that views show and the one that was found, m².
+    squares_m2: f32,
+}
+
+impl Views {
+    /// The root mean square of the differences, metres; `None` without a view.
+    pub(super) fn spread_m(&self) -> Option<f32> {
+        (self.count > 0.0).then(|| (self.squares_m2 / self.count).sqrt())
+    }
+}
+
+/// How scenes are rendered.
+pub(super) struct ViewOrder {
+    /// Edge length of a voxel, metres.
+    pub(super) voxel_m: f64,
+    /// Limit on the memory of the process, bytes.
+    pub(super) memory_bytes: u64,
+    /// Number of threads, at least 1.
+    pub(super) threads: usize,
+}
+
+/// Finds the views of all pixels. `on_view` gets the number of views that are done, and of all cameras.
+pub(super) fn find_views(
+    scene: &Scene,
+    lattice: &Lattice,
+    heights: &mut Tiles<f32>,
+    views: &mut Tiles<Views>,
+    order: &ViewOrder,
+    mut on_view: impl FnMut(usize, usize),
+) -> Result<(), SurveyError> {
+    let mut balls = Vec::with_capacity(heights.len());
+    for tile in 0..heights.len() {
+        let window = heights.window(tile);
+        views.write(tile, &vec![Views::default(); window.pixels()])?;
+        balls.push(ball(&lattice.columns(window)?, &heights.read(tile)?));
+    }
+    let unit_m = scene.frame.unit();
+    let mut done = 0;
+    scene.render_each(order.memory_bytes, order.threads, |camera, rendering| {
+        let frustum = Frustum::new(camera);
+        let picture = Picture { camera, rendering, unit_m, same_m: SAME_VOXELS * order.voxel_m };
+        for (tile, ball) in balls.iter().enumerate() {
+            let Some((center, radius_m)) = *ball else { continue };
+            if frustum.touches(center, radius_m) {
+                let columns = lattice.columns(heights.window(tile))?;
+                let (heights, mut values) = (heights.read(tile)?, views.read(tile)?);
+                let pixels = values.par_iter_mut().zip(columns.par_iter().zip(&heights));
+                pixels
+                    .with_min_len(4096)
+                    .for_each(|(views, (column, height))| picture.add(views, column, *height));
+                views.write(tile, &values)?;
+            }
+        }
+        done += 1;
+        on_view(done, scene.cameras.len());
+        Ok(())
+    })
+}
+
+/// A ball around the surface of a tile: its middle in the world, and its radius, metres. `None` without a surface.
+fn ball(columns: &[Column], heights: &[f32]) -> Option<(DVec3, f64)> {
+    let points = columns.iter().zip(heights).filter(|(_, height)| !height.is_nan());
+    let (mut low, mut high) = (DVec3::INFINITY, DVec3::NEG_INFINITY);
+    for (column, height) in points {
+        let at = column.at.extend(f64::from(*height) - column.lift_m);
+        (low, high) = (low.min(at), high.max(at));
+    }
+    low.cmple(high).all().then(|| (0.5 * (low + high), 0.5 * low.distance(high)))
+}
+
+/// What a camera of the world shows.
+struct Picture<'a> {
+    camera: &'a Camera,
+    rendering: &'a Rendering,
+    /// Length of the rendering's unit, metres.
+    unit_m: f64,
+    /// Largest difference of depths that show the same surface, metres.
+    same_m: f64,
+}
+
+impl Picture<'_> {
+    /// Counts the picture if it shows the surface of a pixel.
+    fn add(&self, views: &mut Views, column: &Column, height: f32) {
+        if height.is_nan() {
+            return;
+        }
+        let at = column.at.extend(f64::from(height) - column.lift_m);
+        let Some((px, depth_m)) = self.camera.project_with_depth(at) else { return };
+        let Some(shown_m) = self.depth_m(px) else { return };
+        let eye = self.camera.cam_from_world.center();
+        // Along the ray, by how much the point that the picture shows is higher.
+        let higher_m = (shown_m / depth_m - 1.0) * (at.z - eye.z);
+        if (shown_m - depth_m).abs() * eye.distance(at) / depth_m <= self.same_m {
+            views.count += 1.0;
+            views.squares_m2 += (higher_m * higher_m) as f32;
+        }
+    }
+
+    /// The depth at the nearest pixel, metres.
+    fn depth_m(&self, px: DVec2) -> Option<f64> {
+        if !self.camera.contains(px) {
+            return None;
+        }
+        let [width, _] = self.rendering.size_px;
+        let i = px.y as usize * width as usize + px.x as usize;
+        let depth = f64::from(*self.rendering.depth.get(i)?);
+        (depth > 0.0 && self.rendering.alpha[i] >= ALPHA_LEAST).then_some(depth * self.unit_m)
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::testing::above;
+
+    #[test]
+    fn views_count_where_they_show_the_surface() {
+        let camera = above(0.0);
+        let [width, height] = camera.size_px.map(|side| side as usize);
+        let rendering = Rendering {
+            size_px: camera.size_px,
+            rgb: Vec::new(),
+            alpha: vec![1.0; width * height],
+            depth: vec![9.9; width * height],
+            normal: Vec::new(),
+        };
+        let picture = Picture { camera: &camera, rendering: &rendering, unit_m: 1.0, same_m: 0.4 };
+        // The camera is 10 m above the ground, so the picture shows a surface 0.1 m above it.
+        let spread = |x: f64, height: f32| {
+            let mut views = Views::default();
+            picture.add(&mut views, &Column { at: DVec2::new(x, 0.0), lift_m: 70.0 }, height);
+            views.spread_m()
+        };
+        assert!(spread(0.5, 70.0).is_some_and(|m| (m - 0.1).abs() < 1e-3));
+        assert!(spread(0.5, 69.9).is_some_and(|m| (m - 0.2).abs() < 1e-3));
+        assert_eq!([spread(0.5, 69.0), spread(0.5, f32::NAN), spread(40.0, 70.0)], [None; 3]);
+    }
+}
