@@ -21,4 +21,5 @@ pub(crate) mod pki;
 pub(crate) mod survey;
 pub(crate) mod tap;
 pub(crate) mod town;
+pub(crate) mod view;
 pub(crate) mod worker;

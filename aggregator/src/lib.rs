@@ -24,6 +24,7 @@
 //!  └─ terminal ─► mesh        progress for people; depth to triangles
 //! ```
 //!
+//! [`viewer`] stands below `report`: a model that people walk through in a browser.
 //! [`survey`] stands beside `mission`: it makes what a surveyor delivers of a global model.
 //! [`worker`] stands beside `service`: it distils tiles for merges on other computers. [`pki`] stands alone: it makes the
 //! keys of a site. `quiet` limits lines in the log.
@@ -46,11 +47,13 @@ pub mod queue;
 mod quiet;
 pub mod report;
 pub mod service;
+pub mod station;
 pub mod store;
 pub mod survey;
 mod terminal;
 #[cfg(test)]
 mod testing;
+pub mod viewer;
 mod views;
 pub mod worker;
 

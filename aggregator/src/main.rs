@@ -52,6 +52,7 @@ enum Commands {
     Run(RunArgs),
     Survey(cli::survey::SurveyArgs),
     Town(cli::town::TownArgs),
+    View(cli::view::ViewArgs),
     Worker(cli::worker::WorkerArgs),
 }
 
@@ -103,6 +104,7 @@ fn run_command(cli: Cli) -> Result<()> {
         Commands::Replay(args) => cli::tap::replay(&args),
         Commands::Survey(args) => cli::survey::run(&args),
         Commands::Town(args) => cli::town::run(&args),
+        Commands::View(args) => cli::view::run(&args),
         Commands::Worker(args) => cli::worker::run(&args),
         Commands::Run(args) => run(&args),
         Commands::Mesh(args) => cli::mesh::run(&args),

@@ -24,4 +24,5 @@ pub(crate) use page::{Drawings, page};
 pub(crate) use showcase::{Showcase, ShowcaseError, showcases};
 pub use site::SiteReport;
 pub(crate) use site::{SitePicture, site_page};
+pub(crate) use svg::escape;
 pub use texts::table;

@@ -29,7 +29,7 @@
 mod tests;
 
 use std::fs::{self, File};
-use std::io::{BufRead, BufReader, Read, Write};
+use std::io::{self, BufRead, BufReader, Read, Write};
 use std::path::Path;
 
 use flate2::Compression;
@@ -67,12 +67,22 @@ pub fn write(path: &Path, splats: &Splats) -> Result<(), SceneError> {
     let fraction_bits = fraction_bits(splats).ok_or_else(|| {
         SceneError::malformed(path, "SPZ cannot hold coordinates beyond 8,388,607; write a PLY instead")
     })?;
-    atomic::write(path, |out| {
-        let mut gzip = GzEncoder::new(out, Compression::default());
-        gzip.write_all(&header(splats, fraction_bits))?;
-        gzip.write_all(&body(splats, fraction_bits))?;
-        gzip.finish().map(|_| ())
-    })
+    atomic::write(path, |out| encode(out, splats, fraction_bits))
+}
+
+/// The bytes of an SPZ file with these splats; `None` if a coordinate is beyond ±8,388,607.
+pub fn to_bytes(splats: &Splats) -> Option<Vec<u8>> {
+    let fraction_bits = fraction_bits(splats)?;
+    let mut bytes = Vec::new();
+    encode(&mut bytes, splats, fraction_bits).ok()?;
+    Some(bytes)
+}
+
+fn encode(out: impl Write, splats: &Splats, fraction_bits: u8) -> io::Result<()> {
+    let mut gzip = GzEncoder::new(out, Compression::default());
+    gzip.write_all(&header(splats, fraction_bits))?;
+    gzip.write_all(&body(splats, fraction_bits))?;
+    gzip.finish().map(|_| ())
 }
 
 /// The largest number of fractional bits with which every coordinate fits; `None` if a coordinate is too large.

@@ -1,0 +1,51 @@
+//! `view`: shows a model in a browser.
+
+use std::io::{self, Write};
+use std::net::SocketAddr;
+use std::path::PathBuf;
+use std::sync::mpsc;
+
+use anyhow::{Context, Result};
+use clap::Args;
+use cosurf_aggregator::station::{Token, serve_model};
+use cosurf_aggregator::viewer::{Room, Walkable};
+use cosurf_contract::counted;
+
+/// Show a model in a browser: walk through it, measure, and read coordinates.
+///
+/// Serves the model until it is stopped with Ctrl-C, and prints the address. The browser needs WebGL 2 and no internet.
+/// An address that other computers reach is printed with a token, which they need.
+#[derive(Args)]
+pub(crate) struct ViewArgs {
+    /// The model: a PLY or SPZ file, or the folder of a training, a merge or a mission
+    model: PathBuf,
+    /// Address and port to serve on; port 0 takes a free one
+    #[arg(long, value_name = "ADDRESS", default_value = "127.0.0.1:0")]
+    http: SocketAddr,
+    /// File whose first line is the token [default: a random one]
+    #[arg(long, value_name = "FILE")]
+    http_token_file: Option<PathBuf>,
+}
+
+pub(crate) fn run(args: &ViewArgs) -> Result<()> {
+    let token = args.http_token_file.as_deref().map_or_else(Token::random, Token::read)?;
+    let model = Walkable::read(&args.model, Room::UNLIMITED)?;
+    let [splats, _] = model.shown();
+    let (stop, stopped) = mpsc::channel();
+    ctrlc::set_handler(move || {
+        let _ = stop.send(()); // fails only if the program has already ended
+    })
+    .context("cannot install the Ctrl-C handler")?;
+    let server = serve_model(args.http, &token, model)?;
+    let address = server.address();
+    let shown = match address.ip().is_loopback() {
+        true => format!("http://{address}/"),
+        false => format!("http://{address}/?token={}", token.as_str()),
+    };
+    let mut stdout = io::stdout().lock();
+    writeln!(stdout, "{}", counted(splats, "splat"))?;
+    writeln!(stdout, "{shown}")?;
+    stdout.flush()?;
+    let _ = stopped.recv();
+    Ok(())
+}

@@ -1,0 +1,98 @@
+// Sorts the splats that a camera may see by depth, in a worker, so that the page stays responsive. It knows nothing about
+// drawing.
+//
+// Start reading at sorter, the code of the worker; Sorter is the page's end of it.
+
+/* exported Sorter */
+
+/**
+ * The whole code of the worker. It runs from its own source text, so it may use nothing from outside. Two counting sorts
+ * over the lower and upper halves of a depth's bits give the exact order: bits of positive floats sort as the floats do.
+ */
+function sorter() {
+  const BUCKETS = 65536;
+  let positions, radii, depths, bits, ids, first, second;
+
+  function load(model) {
+    ({ positions, radii } = model);
+    const count = radii.length;
+    depths = new Float32Array(count);
+    bits = new Uint32Array(depths.buffer);
+    [ids, first, second] = [new Uint32Array(count), new Uint32Array(count), new Uint32Array(BUCKETS)];
+  }
+
+  /** Puts the splats into `ids` that lie in front of the camera and touch its picture, and returns their number. */
+  function select({ rotation: r, translation: t, near, slopeMin, slopeMax }) {
+    let kept = 0;
+    // A sphere is outside of a plane through the camera if its centre is farther than its radius from the plane.
+    const slack = [slopeMin[0], slopeMax[0], slopeMin[1], slopeMax[1]].map((slope) => Math.hypot(1, slope));
+    for (let i = 0; i < radii.length; i++) {
+      const [x, y, z] = [positions[3 * i], positions[3 * i + 1], positions[3 * i + 2]];
+      const depth = r[6] * x + r[7] * y + r[8] * z + t[2];
+      if (!(depth > near)) continue;
+      const right = r[0] * x + r[1] * y + r[2] * z + t[0];
+      const down = r[3] * x + r[4] * y + r[5] * z + t[1];
+      const radius = radii[i];
+      if (slopeMin[0] * depth - right > radius * slack[0] || right - slopeMax[0] * depth > radius * slack[1]) continue;
+      if (slopeMin[1] * depth - down > radius * slack[2] || down - slopeMax[1] * depth > radius * slack[3]) continue;
+      depths[i] = depth;
+      ids[kept++] = i;
+    }
+    return kept;
+  }
+
+  /** Stable counting sort of `from` into `to` by 16 bits of the depths. */
+  function pass(from, to, count, shift) {
+    second.fill(0);
+    for (let i = 0; i < count; i++) second[(bits[from[i]] >>> shift) & 0xffff]++;
+    let sum = 0;
+    for (let b = 0; b < BUCKETS; b++) [second[b], sum] = [sum, sum + second[b]];
+    for (let i = 0; i < count; i++) to[second[(bits[from[i]] >>> shift) & 0xffff]++] = from[i];
+  }
+
+  self.onmessage = ({ data }) => {
+    if (data.positions) return load(data);
+    const count = select(data);
+    pass(ids, first, count, 0);
+    pass(first, ids, count, 16);
+    const depthAt = (share) => (count ? depths[ids[Math.floor(share * (count - 1))]] : 1);
+    const range = [depthAt(0.02), depthAt(0.98)];
+    const order = ids.slice(0, count).reverse();
+    self.postMessage({ id: data.id, order, range }, [order.buffer]);
+  };
+}
+
+/** Sorts in a worker. Only the newest question waits while one is answered. */
+class Sorter {
+  constructor(positions, radii) {
+    const source = new Blob([`(${sorter})()`], { type: 'text/javascript' });
+    const url = URL.createObjectURL(source);
+    this.worker = new Worker(url);
+    URL.revokeObjectURL(url);
+    this.worker.postMessage({ positions, radii });
+    this.worker.onmessage = ({ data }) => this.answer(data);
+    [this.asked, this.waiting] = [null, null];
+  }
+
+  /** Resolves to `{order, range}`: splats from back to front, and depths that most of them lie between; null if a newer
+   * question took the place of this one. */
+  sort(camera) {
+    this.waiting?.resolve(null);
+    return new Promise((resolve) => {
+      this.waiting = { camera, resolve };
+      this.next();
+    });
+  }
+
+  next() {
+    if (this.asked || !this.waiting) return;
+    [this.asked, this.waiting] = [this.waiting, null];
+    this.worker.postMessage(this.asked.camera);
+  }
+
+  answer(result) {
+    this.asked.resolve(result);
+    this.asked = null;
+    this.next();
+  }
+}

@@ -1,0 +1,173 @@
+// The viewer of a page: loads the model, and connects drawing, camera, input and buttons.
+//
+// Start reading at startViewer, which the page calls at its end. A page has one section of viewer.html. The model and its
+// scene are either elements of the page (a report, which is one file) or fetched from beside the page. The scene is
+// `Scene` of aggregator/src/viewer/model.rs.
+
+/* global decodeSpz, bytesOfBase64, Drawing, Walk, listen, upOf, project, unproject, describePoint, describeLine */
+
+/** A frame that takes longer, ms, makes the picture of a moving camera coarser. */
+const SLOW_MS = 60;
+/** The picture becomes fine again after the camera has rested for this long, ms. */
+const REST_MS = 200;
+
+/** The model's bytes and the scene, from the page or from beside it. */
+async function loadModel() {
+  const scene = document.getElementById('viewer-scene');
+  const model = document.getElementById('viewer-model');
+  if (scene && model) return [JSON.parse(scene.textContent), bytesOfBase64(model.textContent)];
+  const [described, file] = await Promise.all(['scene.json', 'model.spz'].map((name) => fetch(name)));
+  if (!described.ok || !file.ok) throw new Error('The model could not be loaded; reload the page.');
+  return [await described.json(), new Uint8Array(await file.arrayBuffer())];
+}
+
+class Viewer {
+  constructor(section, scene, model) {
+    [this.section, this.scene] = [section, scene];
+    this.canvas = section.querySelector('canvas');
+    this.told = section.querySelector('.told');
+    this.marks = section.querySelector('.marks');
+    this.drawing = new Drawing(this.canvas, model);
+    this.walk = new Walk(model.positions, scene.up ?? upOf(scene.cameras));
+    Object.assign(this, { layer: 0, points: [], isMeasuring: false, photograph: -1, coarseness: 1, lastFrame: 0, isAsked: false });
+    listen(this.canvas, this);
+    section.querySelector('.bar').addEventListener('click', ({ target }) => {
+      if (target.dataset.does) this.does(target.dataset.does, Number(target.dataset.value));
+    });
+    if (!scene.cameras.length) section.querySelector('[data-does="photograph"]').hidden = true;
+    new ResizeObserver(() => this.changed()).observe(this.canvas);
+  }
+
+  /** The camera of the page, for a canvas of its size. */
+  camera() {
+    const density = Math.min(devicePixelRatio || 1, 2) / this.coarseness;
+    const side = (css) => Math.max(1, Math.round(css * density));
+    return this.walk.camera([side(this.canvas.clientWidth), side(this.canvas.clientHeight)]);
+  }
+
+  /** Draws in the next frame, and again as soon as the splats are sorted. */
+  changed() {
+    if (this.isAsked) return;
+    this.isAsked = true;
+    requestAnimationFrame((now) => {
+      this.isAsked = false;
+      this.adapt(now);
+      const camera = this.camera();
+      this.show(camera);
+      this.drawing.sort(camera).then((isNewest) => isNewest && this.show(this.camera()));
+    });
+  }
+
+  /** Makes the picture coarser while frames are slow, and fine once the camera rests. */
+  adapt(now) {
+    const took = now - this.lastFrame;
+    this.lastFrame = now;
+    if (took < REST_MS && took > SLOW_MS) this.coarseness = Math.min(4, this.coarseness * 2);
+    clearTimeout(this.rest);
+    if (this.coarseness > 1) {
+      this.rest = setTimeout(() => {
+        this.coarseness = 1;
+        this.lastFrame = 0;
+        this.changed();
+      }, REST_MS);
+    }
+  }
+
+  show(camera) {
+    this.drawing.draw(camera, this.layer);
+    const scale = this.canvas.clientWidth / camera.size_px[0];
+    const places = this.points.map((point) => project(camera, point)).filter(([, , depth]) => depth > 0);
+    const line = places.map(([x, y]) => `${(x * scale).toFixed(1)},${(y * scale).toFixed(1)}`);
+    this.marks.querySelector('polyline').setAttribute('points', line.join(' '));
+    this.marks.querySelectorAll('circle').forEach((mark) => mark.remove());
+    for (const at of line) {
+      const mark = document.createElementNS('http://www.w3.org/2000/svg', 'circle');
+      for (const [name, value] of Object.entries({ cx: at.split(',')[0], cy: at.split(',')[1], r: 5 })) mark.setAttribute(name, value);
+      this.marks.append(mark);
+    }
+  }
+
+  /** Tells where the surface is at a point of the canvas, CSS px, and adds it to a measurement. */
+  async pick(at) {
+    const camera = this.camera();
+    await this.drawing.sort(camera);
+    const scale = camera.size_px[0] / this.canvas.clientWidth;
+    const place = at.map((v) => v * scale);
+    const depth = this.drawing.depthAt(camera, place);
+    if (depth === null) return this.tell('There is no surface at this point.');
+    const point = unproject(camera, place, depth);
+    this.points = this.isMeasuring ? [...this.points, point] : [point];
+    const isLine = this.points.length > 1;
+    this.tell(isLine ? describeLine(this.points, this.walk.up, this.scene) : describePoint(point, this.scene));
+    this.changed();
+    return point;
+  }
+
+  /** Does what a button or key asks for. */
+  does(name, value) {
+    const { walk, scene } = this;
+    if (name === 'layer') this.layer = value;
+    if (name === 'walk') walk.isWalking = !walk.isWalking;
+    if (name === 'reset') walk.reset();
+    if (name === 'measure') [this.isMeasuring, this.points] = [!this.isMeasuring, []];
+    if (name === 'clear') this.points = [];
+    if (name === 'full') document.fullscreenElement ? document.exitFullscreen() : this.section.requestFullscreen?.();
+    if ((name === 'photograph' || name === 'before') && scene.cameras.length) {
+      const count = scene.cameras.length;
+      this.photograph = (this.photograph + (name === 'before' ? count - 1 : 1) + (this.photograph < 0 && name === 'before')) % count;
+      walk.takePlace(scene.cameras[this.photograph]);
+      this.tell(`The view of photograph ${this.photograph + 1} of ${count}.`);
+    }
+    if (name === 'measure') this.tell(this.isMeasuring ? 'Tap points to measure the distance along them.' : 'The measurement has ended.');
+    if (name === 'save') this.save();
+    this.press();
+    this.changed();
+  }
+
+  /** Shows which buttons are pressed. */
+  press() {
+    const pressed = { walk: this.walk.isWalking, measure: this.isMeasuring };
+    for (const button of this.section.querySelectorAll('[aria-pressed]')) {
+      const { does, value } = button.dataset;
+      button.setAttribute('aria-pressed', does === 'layer' ? Number(value) === this.layer : pressed[does]);
+    }
+  }
+
+  tell(text) {
+    this.told.textContent = text;
+  }
+
+  /** The picture from any camera as a PNG in a `data:` URL, in the camera's size. */
+  async picture(camera, layer = 0) {
+    while (!(await this.drawing.sort(camera)));
+    this.drawing.draw(camera, layer);
+    return this.canvas.toDataURL('image/png');
+  }
+
+  async save() {
+    const link = document.createElement('a');
+    [link.href, link.download] = [await this.picture(this.camera(), this.layer), 'model.png'];
+    link.click();
+  }
+}
+
+/** Starts the viewer of the page. Resolves to the Viewer, or to undefined if it cannot run; the page then tells why. */
+async function startViewer() {
+  const section = document.querySelector('.viewer');
+  const wait = section.querySelector('.wait');
+  try {
+    const [scene, file] = await loadModel();
+    const viewer = new Viewer(section, scene, await decodeSpz(file));
+    viewer.changed();
+    wait.remove();
+    if (scene.splats < scene.of_splats) {
+      viewer.tell(`To keep this page small, it shows ${scene.splats} of ${scene.of_splats} splats, the most important ones.`);
+    }
+    return viewer;
+  } catch (error) {
+    wait.textContent = error.message;
+    return undefined;
+  }
+}
+
+globalThis.cosurf = startViewer();

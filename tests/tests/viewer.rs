@@ -1,0 +1,193 @@
+//! The viewer in a headless browser: its pictures against those of the CPU renderer, its measurements, and its keys.
+#![allow(clippy::unwrap_used)]
+
+use std::env::var_os;
+use std::fs;
+use std::path::{Path, PathBuf};
+use std::time::{Duration, Instant};
+
+use cosurf_engine::{Renderer, Rendering};
+use cosurf_scene::{Camera, Dataset, LocalFrame, Picture, Pose, Splats, camera_list, metrics, ply, spz};
+use cosurf_tests::chromium::Chromium;
+use cosurf_tests::models::noise;
+use cosurf_tests::running::{PATIENCE, Running};
+use glam::{DVec2, DVec3};
+
+/// The viewer and the CPU renderer show the same quantised splats, so they differ only by rounding, dB.
+const SAME_SPLATS_DB: f64 = 50.0;
+/// Against the model before it was quantised, dB.
+const BEFORE_QUANTISING_DB: f64 = 30.0;
+/// Largest error of a picked depth, as a share of the depth.
+const DEPTH_SHARE: f64 = 1e-3;
+
+/// Undulating ground of 60 × 60 m with boxes' worth of upright splats, and harmonics up to degree 3.
+fn model() -> Splats {
+    let mut splats = Splats::with_capacity(6000, 3);
+    let mut noise = noise(7);
+    for _ in 0..6000 {
+        let [x, y] = [30.0 * noise(), 30.0 * noise()];
+        let z = 3.0 * (x / 7.0).sin() * (y / 9.0).cos();
+        let quat = [1.0, 0.3 * noise(), 0.3 * noise(), noise()];
+        let log_scale = [-0.6 + 0.5 * noise(), -0.6 + 0.5 * noise(), -4.0];
+        let mut sh = vec![0.0; splats.sh_stride()];
+        sh[..3].iter_mut().for_each(|v| *v = 1.2 * noise());
+        sh[3..].iter_mut().for_each(|v| *v = 0.1 * noise());
+        splats.push([x, y, z], quat, log_scale, 2.0 + 2.0 * noise(), &sh);
+    }
+    splats
+}
+
+/// Cameras around the model, above it, and among its splats.
+fn cameras() -> Vec<Camera> {
+    let eyes = [[0.0, -40.0, 30.0], [25.0, 20.0, 18.0], [-5.0, 3.0, 50.0], [2.0, -6.0, 6.0]];
+    let camera = |[x, y, z]: [f64; 3]| Camera {
+        cam_from_world: Pose::look_at(DVec3::new(x, y, z), DVec3::new(1.0, 2.0, 0.0), DVec3::Y + DVec3::Z),
+        focal_px: DVec2::new(210.0, 205.0),
+        center_px: DVec2::new(119.0, 92.5),
+        size_px: [240, 181],
+    };
+    eyes.map(camera).to_vec()
+}
+
+/// Serves a folder's model. Returns the program and its address.
+fn serve(folder: &Path, model: &Path) -> (Running, String) {
+    let program = Running::start("cosurf-aggregator", folder, &["view", &model.display().to_string()]);
+    let begun = Instant::now();
+    loop {
+        if let Some(url) = program.log().lines().find(|line| line.starts_with("http://")) {
+            return (program, url.to_owned());
+        }
+        assert!(begun.elapsed() < PATIENCE, "no address: {}", program.log());
+        std::thread::sleep(Duration::from_millis(20));
+    }
+}
+
+/// What the viewer draws from camera `index` of its scene.
+fn picture(browser: &Chromium, index: usize) -> Picture {
+    let taken = format!("cosurf.then((viewer) => viewer.picture(viewer.scene.cameras[{index}]))");
+    let url = browser.value(&taken);
+    let png = decode_base64(url.as_str().unwrap().strip_prefix("data:image/png;base64,").unwrap());
+    let folder = tempfile::tempdir().unwrap();
+    let path = folder.path().join("picture.png");
+    fs::write(&path, png).unwrap();
+    Picture::read(&path).unwrap()
+}
+
+fn decode_base64(text: &str) -> Vec<u8> {
+    let value = |c: u8| match c {
+        b'A'..=b'Z' => c - b'A',
+        b'a'..=b'z' => c - b'a' + 26,
+        b'0'..=b'9' => c - b'0' + 52,
+        b'+' => 62,
+        _ => 63,
+    };
+    let digits: Vec<u32> = text.bytes().filter(|c| *c != b'=').map(|c| u32::from(value(c))).collect();
+    digits
+        .chunks(4)
+        .flat_map(|chunk| {
+            let bits = chunk.iter().enumerate().fold(0, |bits, (i, digit)| bits | digit << (18 - 6 * i));
+            bits.to_be_bytes()[1..chunk.len()].to_vec()
+        })
+        .collect()
+}
+
+/// PSNR of a picture against what the CPU renderer shows, as a PNG would hold it, dB.
+fn psnr(picture: &Picture, rendering: &Rendering) -> f64 {
+    let expected = Picture::from_unit(rendering.size_px, &rendering.rgb);
+    assert_eq!(picture.size_px, expected.size_px);
+    let unit = |picture: &Picture| picture.rgb.iter().map(|v| f32::from(*v) / 255.0).collect::<Vec<f32>>();
+    metrics::psnr(&unit(picture), &unit(&expected))
+}
+
+/// The splats as the viewer gets them.
+fn quantised(splats: &Splats) -> Splats {
+    let folder = tempfile::tempdir().unwrap();
+    let path = folder.path().join("model.spz");
+    spz::write(&path, splats).unwrap();
+    spz::read(&path).unwrap()
+}
+
+/// The smallest PSNR of the pictures of some cameras, against the quantised splats and against the splats, dB.
+fn worst(browser: &Chromium, splats: &Splats, cameras: &[(usize, Camera)]) -> [f64; 2] {
+    let renderers = [quantised(splats), splats.clone()].map(|splats| Renderer::new(&splats, 2));
+    let [mut same, mut before] = renderers;
+    cameras.iter().fold([f64::MAX; 2], |[a, b], (index, camera)| {
+        let picture = picture(browser, *index);
+        [a.min(psnr(&picture, &same.render(camera))), b.min(psnr(&picture, &before.render(camera)))]
+    })
+}
+
+#[test]
+fn the_viewer_draws_what_the_cpu_renderer_draws() {
+    let Some(browser) = Chromium::start([700, 600]) else { return };
+    let folder = tempfile::tempdir().unwrap();
+    ply::write(&folder.path().join("global.ply"), &model(), &LocalFrame::WORLD).unwrap();
+    camera_list::write(&folder.path().join("cameras.json"), &cameras()).unwrap();
+    let (_program, url) = serve(folder.path(), folder.path());
+    browser.open(&url);
+    let listed: Vec<(usize, Camera)> = cameras().into_iter().enumerate().collect();
+    let [same, before] = worst(&browser, &model(), &listed);
+    assert!(same > SAME_SPLATS_DB && before > BEFORE_QUANTISING_DB, "{same} dB, {before} dB");
+    depths_are_those_of_the_renderer(&browser);
+    keys_move_the_camera(&browser);
+    assert_eq!(browser.complaints(), [""; 0]);
+}
+
+/// Picks points of a picture and compares their depths.
+fn depths_are_those_of_the_renderer(browser: &Chromium) {
+    let expected = Renderer::new(&quantised(&model()), 2).render(&cameras()[0]);
+    let points: Vec<[u32; 2]> = (0..6).map(|i| [20 + 35 * i, 60 + 15 * i]).collect();
+    let picks = format!(
+        "cosurf.then(async ({{drawing, scene}}) => {{ const camera = scene.cameras[0]; \
+         while (!(await drawing.sort(camera))); \
+         return {points:?}.map(([x, y]) => drawing.depthAt(camera, [x + 0.5, y + 0.5])); }})"
+    );
+    let depths = browser.value(&picks);
+    for ([x, y], depth) in points.iter().zip(depths.as_array().unwrap()) {
+        let wanted = f64::from(expected.depth[(y * 240 + x) as usize]);
+        let got = depth.as_f64().unwrap_or(0.0);
+        assert!((got - wanted).abs() <= DEPTH_SHARE * wanted, "{x} {y}: {got} instead of {wanted}");
+    }
+    assert!(expected.depth.iter().any(|depth| *depth > 0.0));
+}
+
+/// A key turns the view; the buttons tell their state; a measurement tells a distance.
+fn keys_move_the_camera(browser: &Chromium) {
+    let press = |key: &str| {
+        let script = format!(
+            "cosurf.then((viewer) => {{ const before = viewer.walk.yaw; \
+             viewer.canvas.dispatchEvent(new KeyboardEvent('keydown', {{key: '{key}'}})); \
+             return [viewer.walk.yaw - before, \
+             viewer.section.querySelector('[data-does=measure]').getAttribute('aria-pressed')]; }})"
+        );
+        browser.value(&script)
+    };
+    assert!(press("ArrowLeft")[0].as_f64().unwrap() < 0.0 && press("ArrowRight")[0].as_f64().unwrap() > 0.0);
+    assert_eq!(press("m")[1], "true");
+    let told = browser.value(
+        "cosurf.then(async (viewer) => { const {clientWidth: w, clientHeight: h} = viewer.canvas; \
+         await viewer.pick([0.4 * w, 0.5 * h]); await viewer.pick([0.6 * w, 0.5 * h]); \
+         return viewer.told.textContent; })",
+    );
+    let told = told.as_str().unwrap();
+    assert!(told.starts_with("distance ") && told.contains("height difference"), "{told}");
+}
+
+/// The model of a mission or another folder with cameras, which the variable `VIEWER_MODEL` names.
+#[test]
+#[ignore = "needs a model: VIEWER_MODEL=DIR"]
+fn the_viewer_draws_a_mission() {
+    let folder = PathBuf::from(var_os("VIEWER_MODEL").expect("VIEWER_MODEL names the folder of a model"));
+    let browser = Chromium::start([700, 600]).expect("chromedriver");
+    let cameras = Dataset::cameras(&folder).unwrap();
+    let frame = LocalFrame::of(cameras.iter());
+    let splats = ply::read(&ply::of_model(&folder).unwrap(), &frame).unwrap();
+    let logs = tempfile::tempdir().unwrap();
+    let (_program, url) = serve(logs.path(), &folder.canonicalize().unwrap());
+    browser.open(&url);
+    let listed: Vec<(usize, Camera)> =
+        cameras.iter().map(|camera| frame.local_camera(camera)).enumerate().step_by(12).collect();
+    let [same, before] = worst(&browser, &splats, &listed);
+    println!("{} cameras: at least {same:.2} dB, {before:.2} dB before quantising", listed.len());
+    assert!(same > SAME_SPLATS_DB && before > BEFORE_QUANTISING_DB);
+}
