@@ -5,12 +5,12 @@
 //! through. Then as many blocks as fit are allocated at once, the views are fused into them one after the other, and their
 //! triangles are added to the mesh; then the next blocks. Each view is fused into all blocks in parallel, so the mesh has
 //! the same bytes for any number of threads, and for any division of the blocks. If the memory is too small for the mesh
-//! with the wanted voxels, the voxels become larger. [`mesh_model`] refuses a memory limit that is too small for any mesh.
+//! with the wanted voxels, the voxels become larger. [`mesh_file`] refuses a memory limit that is too small for any mesh.
 //!
-//! What it knows nothing about: how views are rendered. [`fuse()`] takes a [`Painter`]; only [`mesh_model`] knows a
+//! What it knows nothing about: how views are rendered. [`fuse()`] takes a [`Painter`]; only [`mesh_file`] knows a
 //! renderer.
 //!
-//! Where to start reading: [`fuse()`], then `volume`, `extract` and `parts`. [`mesh_model`] renders a splat model and fuses
+//! Where to start reading: [`fuse()`], then `volume`, `extract` and `parts`. [`mesh_file`] renders a splat model and fuses
 //! the renderings.
 
 mod budget;
@@ -32,6 +32,6 @@ mod volume;
 pub use error::MeshError;
 pub use event::{FuseEvent, Stage};
 pub use fuse::{FuseSettings, Fused, fuse};
-pub(crate) use model::{check_memory, render_each};
-pub use model::{mesh_file, mesh_model};
+pub use model::mesh_file;
+pub(crate) use model::render_each;
 pub use painter::Painter;

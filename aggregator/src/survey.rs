@@ -115,7 +115,7 @@ pub fn survey(order: &SurveyOrder, mut on_event: impl FnMut(SurveyEvent)) -> Res
     let place = Place::new(&order.georeference)?;
     // Read before the mesh is made, so that a wrong file is reported at once.
     let polygons = order.volumes.as_deref().map(|file| read_polygons(file, &place)).transpose()?;
-    let scene = Scene::open(&order.folder, order.memory_bytes)?;
+    let scene = Scene::open(&order.folder)?;
     fs::create_dir_all(&order.out).map_err(|cause| SceneError::io(&order.out, cause))?;
     atomic::remove_partial_files(&order.out)?;
     let out = |name| order.out.join(name);

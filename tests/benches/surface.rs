@@ -5,8 +5,8 @@ use std::thread::available_parallelism;
 
 use anyhow::Result;
 use cosurf_aggregator::evaluate::accuracy;
-use cosurf_aggregator::mesh::{FuseSettings, mesh_model};
-use cosurf_scene::{Camera, Mesh, Splats};
+use cosurf_aggregator::mesh::{FuseSettings, mesh_file};
+use cosurf_scene::{Camera, LocalFrame, Mesh, Splats, ply};
 
 /// Memory limit of the mesh, bytes.
 const MESH_BYTES: u64 = 4 << 30;
@@ -16,7 +16,12 @@ const MESH_BYTES: u64 = 4 << 30;
 pub(crate) fn f_score(splats: Splats, cameras: &[Camera], truth: &Mesh, threshold_m: f64) -> Result<f64> {
     let settings = FuseSettings { voxel_m: None, memory_bytes: MESH_BYTES };
     let threads = available_parallelism().map_or(1, usize::from);
-    let fused = mesh_model(splats, cameras, None, &settings, threads, |_| ControlFlow::Continue(()))?;
+    let folder = tempfile::tempdir()?;
+    let path = folder.path().join("model.ply");
+    ply::write(&path, &splats, &LocalFrame::WORLD)?;
+    drop(splats);
+    let go = |_| ControlFlow::Continue(());
+    let fused = mesh_file(path, &LocalFrame::WORLD, cameras, None, &settings, threads, go)?;
     let (accuracy, _) = accuracy::judge(&fused.mesh, truth, threshold_m, 0)?;
     Ok(accuracy.samples.f_score)
 }

@@ -7,7 +7,7 @@ use std::collections::HashMap;
 use std::ops::ControlFlow;
 
 use cosurf_engine::Rendering;
-use cosurf_scene::{Camera, Mesh, Pose, Splats};
+use cosurf_scene::{Camera, LocalFrame, Mesh, Pose, Splats, ply};
 use glam::{DVec2, DVec3, Vec3};
 
 use super::extract::Layout;
@@ -324,7 +324,10 @@ fn wall() -> Splats {
 fn splats_become_a_mesh_or_a_clear_error() {
     let above: Vec<Camera> = cameras(40, 128).into_iter().take(12).collect();
     let mesh_of = |splats: Splats, memory_bytes: u64| {
-        mesh_model(splats, &above, Some(100), &settings(None, memory_bytes), 2, |_| GO)
+        let folder = tempfile::tempdir().unwrap();
+        let path = folder.path().join("model.ply");
+        ply::write(&path, &splats, &LocalFrame::WORLD).unwrap();
+        mesh_file(path, &LocalFrame::WORLD, &above, Some(100), &settings(None, memory_bytes), 2, |_| GO)
     };
     let mesh = mesh_of(wall(), 200 << 20).unwrap().mesh;
     let (_, mean) = offsets(&mesh, |p| p.z);

@@ -9,7 +9,7 @@ use cosurf_engine::Rendering;
 use cosurf_scene::{Camera, Dataset, LocalFrame, Mesh, Splats, ply};
 
 use super::error::SurveyError;
-use crate::mesh::{FuseEvent, FuseSettings, check_memory, mesh_model, render_each};
+use crate::mesh::{FuseEvent, FuseSettings, mesh_file, render_each};
 
 /// A model that has not been read.
 #[derive(Debug)]
@@ -31,15 +31,12 @@ pub(super) struct Relief {
 }
 
 impl Scene {
-    /// Reads cameras and header. An error if the memory is too small for the splats.
-    pub(super) fn open(folder: &Path, memory_bytes: u64) -> Result<Self, SurveyError> {
+    /// Reads the cameras.
+    pub(super) fn open(folder: &Path) -> Result<Self, SurveyError> {
         let model = ply::of_model(folder)?;
         let cameras = Dataset::cameras(folder)?;
         let frame = LocalFrame::of(cameras.iter());
-        let scene = Self { model, cameras, frame };
-        let (splats, sh_degree) = ply::size(&scene.model)?;
-        check_memory(splats, sh_degree, &scene.local_cameras(), None, memory_bytes)?;
-        Ok(scene)
+        Ok(Self { model, cameras, frame })
     }
 
     /// Fuses the mesh.
@@ -49,9 +46,9 @@ impl Scene {
         threads: usize,
         mut on_event: impl FnMut(FuseEvent),
     ) -> Result<Relief, SurveyError> {
-        let splats = ply::read(&self.model, &self.frame)?;
         let settings = FuseSettings { voxel_m: None, memory_bytes };
-        let fused = mesh_model(splats, &self.local_cameras(), None, &settings, threads, |event| {
+        let (model, cameras) = (self.model.clone(), self.local_cameras());
+        let fused = mesh_file(model, &self.frame, &cameras, None, &settings, threads, |event| {
             on_event(event);
             ControlFlow::Continue(())
         });
@@ -68,9 +65,8 @@ impl Scene {
         threads: usize,
         mut visit: impl FnMut(&Camera, &Rendering) -> Result<(), SurveyError>,
     ) -> Result<(), SurveyError> {
-        let splats = ply::read(&self.model, &self.frame)?;
-        let cameras = self.local_cameras();
-        render_each(splats, &cameras, memory_bytes, threads, |camera, rendering| {
+        let (model, cameras) = (self.model.clone(), self.local_cameras());
+        render_each(model, &self.frame, &cameras, memory_bytes, threads, |camera, rendering| {
             visit(&self.frame.world_camera(camera), rendering)
         })
     }

@@ -93,7 +93,7 @@ fn heights(scene: &Scene, folder: &Path, tile_px: u32) -> (Lattice, Vec<f32>) {
 fn heights_are_those_of_the_slope_and_tiles_leave_no_seams() {
     let folder = tempfile::tempdir().unwrap();
     model(folder.path());
-    let scene = Scene::open(folder.path(), MEMORY_BYTES).unwrap();
+    let scene = Scene::open(folder.path()).unwrap();
     let (lattice, large) = heights(&scene, folder.path(), 512);
     let (_, small) = heights(&scene, folder.path(), 32);
     let bits = |heights: &[f32]| heights.iter().map(|height| height.to_bits()).collect::<Vec<_>>();

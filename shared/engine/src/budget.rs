@@ -12,7 +12,7 @@ pub use costs::{Costs, DRIVER_BYTES};
 #[cfg(feature = "gpu")]
 pub(crate) use costs::{PARTIALS, PROJECTED_BYTES, TAUGHT_NUMBERS};
 pub use freed::return_freed_memory;
-pub use viewing::Viewing;
+pub(crate) use viewing::Viewing;
 
 /// Bytes that a process takes beside the planned buffers: code, stacks, the allocator, small tables, and the threads'
 /// scratch memory.

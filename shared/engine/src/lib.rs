@@ -44,7 +44,7 @@ pub use device::{Device, DeviceChoice, DeviceError, DeviceLost};
 pub use distill::{DistillSettings, Distiller, Lesson, StudentRates};
 pub use neighbours::Neighbours;
 pub use prune::PruneScore;
-pub use render::{Renderer, Seen};
+pub use render::Renderer;
 pub use schedule::Schedule;
 pub use train::{Example, Progress, PruneSettings, SurfaceSettings, TrainSettings, Trainer, TrainingViews};
 pub use views::{Place, ViewError, ViewMemory, Views};

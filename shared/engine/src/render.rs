@@ -24,11 +24,11 @@ enum Painter {
 
 /// What a picture shows of a model.
 #[derive(Clone, Debug, Default, PartialEq, Eq)]
-pub struct Seen {
+pub(crate) struct Seen {
     /// Indices of the splats, ascending. All others can be left out without changing a bit of the picture.
-    pub splats: Vec<u32>,
-    /// Number of splat–tile pairs: [`Renderer::pairs`].
-    pub pairs: usize,
+    pub(crate) splats: Vec<u32>,
+    /// Number of splat–tile pairs, which decides how much memory [`Renderer::render`] takes.
+    pub(crate) pairs: usize,
 }
 
 struct CpuPainter {
@@ -154,15 +154,9 @@ impl Renderer {
         Some(painter.importance())
     }
 
-    /// Number of splat–tile pairs that a picture needs, which decides how much memory [`Self::render`] takes. The splats
-    /// move to the processor, which also renders all later pictures.
-    pub fn pairs(&mut self, camera: &Camera) -> usize {
-        self.on_cpu().pairs(camera)
-    }
-
     /// What a picture would show, without blending it. The splats move to the processor, which also renders all later
     /// pictures.
-    pub fn seen(&mut self, camera: &Camera) -> Seen {
+    pub(crate) fn seen(&mut self, camera: &Camera) -> Seen {
         let painter = self.on_cpu();
         let pairs = painter.pairs(camera);
         Seen { splats: painter.backend.visible().map(|splat| splat as u32).collect(), pairs }
@@ -170,7 +164,7 @@ impl Renderer {
 
     /// Makes room for this many splat–tile pairs on the processor. The splats move to it, and it renders all later
     /// pictures.
-    pub fn reserve_pairs(&mut self, pairs: usize) {
+    pub(crate) fn reserve_pairs(&mut self, pairs: usize) {
         self.on_cpu().backend.reserve_pairs(pairs);
     }
 

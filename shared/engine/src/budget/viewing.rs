@@ -11,19 +11,19 @@ const RENDERING_BYTES_PER_PIXEL: u64 = 32;
 
 /// A model and pictures of it, whose need of memory is asked for.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub struct Viewing {
+pub(crate) struct Viewing {
     /// Number of splats.
-    pub splats: usize,
+    pub(crate) splats: usize,
     /// SH degree, 0..=3.
-    pub sh_degree: u32,
+    pub(crate) sh_degree: u32,
     /// Width and height of the largest picture, px.
-    pub size_px: [u32; 2],
+    pub(crate) size_px: [u32; 2],
 }
 
 impl Viewing {
     /// Bytes of a process that reads the model and renders the pictures one after the other, if none has more than `pairs`
     /// splat–tile pairs.
-    pub fn bytes(&self, pairs: usize) -> u64 {
+    pub(crate) fn bytes(&self, pairs: usize) -> u64 {
         let Self { splats, sh_degree, size_px } = *self;
         let costs = Costs::of(&Capacity { size_px, ..Capacity::to_render(sh_degree) }, None);
         let pixels = u64::from(size_px[0]) * u64::from(size_px[1]);
@@ -34,7 +34,7 @@ impl Viewing {
     }
 
     /// Number of splat–tile pairs that pictures seldom exceed.
-    pub fn usual_pairs(&self) -> usize {
+    pub(crate) fn usual_pairs(&self) -> usize {
         PAIRS_PER_SPLAT * self.splats
     }
 }
