@@ -17,6 +17,8 @@ use serde::{Deserialize, Serialize};
 use tracing::debug_span;
 
 const FORMAT: &str = "cosurf checkpoint 3";
+/// Folder of the checkpoint in the output folder.
+const FOLDER: &str = "checkpoint";
 /// A fast compression level. The numbers hardly compress, and training waits until the file is written.
 const ZSTD_LEVEL: i32 = 1;
 /// Numbers of steps whose schedules tell whether two programs have the same rules for schedules.
@@ -93,9 +95,18 @@ pub fn set_aside(out: &Path) -> Result<PathBuf> {
     Ok(files::set_aside(&path(out))?)
 }
 
+/// Deletes what killed programs left of unfinished checkpoints in the output folder `out`.
+pub fn remove_partial(out: &Path) -> Result<()> {
+    let folder = out.join(FOLDER);
+    if folder.is_dir() {
+        atomic::remove_partial_files(&folder)?;
+    }
+    Ok(())
+}
+
 /// Path of the checkpoint file of a training whose output folder is `out`.
 pub fn path(out: &Path) -> PathBuf {
-    out.join("checkpoint").join("state.bin")
+    out.join(FOLDER).join("state.bin")
 }
 
 impl Checkpoint {
@@ -141,8 +152,8 @@ impl Checkpoint {
         let path = self.path.display().to_string();
         if self.head.fingerprint != *expected {
             bail!(
-                "{path} belongs to a training with other data or settings; delete it to start again, or write to \
-                 another folder"
+                "{path} belongs to a training with other data or settings; start again with --fresh, or write to another \
+                 folder"
             );
         }
         let Head { steps, steps_done, .. } = self.head;

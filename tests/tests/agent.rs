@@ -339,7 +339,7 @@ fn a_damaged_checkpoint_is_set_aside_and_one_of_another_training_refused() {
     let folder = tempfile::tempdir().unwrap();
     let out = folder.path().join("out");
     succeed(train(city(), &out, &["--steps", "20"]));
-    refuse(train(city(), &out, &["--steps", "20", "--seed", "7"]), &["other data or settings", "delete it"]);
+    refuse(train(city(), &out, &["--steps", "20", "--seed", "7"]), &["other data or settings", "--fresh"]);
     refuse(train(city(), &out, &["--steps", "19"]), &["training of 20 steps", "fewer", "delete it"]);
     let state = out.join("checkpoint/state.bin");
     let mut bytes = fs::read(&state).unwrap();

@@ -2,6 +2,7 @@
 
 use std::io::{self, Write};
 use std::path::{Path, PathBuf};
+use std::thread;
 use std::time::{Duration, Instant};
 
 use anyhow::{Result, bail};
@@ -14,7 +15,7 @@ use cosurf_engine::{
     Backend, DeviceChoice, DeviceLost, PruneScore, PruneSettings, Renderer, SurfaceSettings,
 };
 use cosurf_scene::bytes::{format_bytes, parse_bytes};
-use cosurf_scene::{FolderLock, Splats, check_space};
+use cosurf_scene::{FolderLock, Splats, check_space, files};
 use tracing::info_span;
 
 use super::arguments::{Common, DeviceArgs};
@@ -24,6 +25,8 @@ use super::paths::resolve_init;
 use super::progress::Progress;
 use super::stop::Stoppable;
 
+/// Time between two attempts to write to a full disk.
+const FULL_DISK_WAIT: Duration = Duration::from_secs(5);
 /// Largest share of the time that checkpoints take, judged by the last one. On a graphics card one may take as long as a
 /// hundred steps.
 const CHECKPOINT_SHARE: f64 = 0.05;
@@ -140,6 +143,7 @@ pub(super) fn train(
     fresh: bool,
     progress: &mut Progress,
 ) -> Result<TrainReport> {
+    checkpoint::remove_partial(out)?;
     match train_on_any(plan, out, !fresh, progress) {
         Err(error) if error.is::<DamagedCheckpoint>() => {
             let kept = checkpoint::set_aside(out)?;
@@ -216,7 +220,7 @@ fn train_on(
     });
     let span = info_span!("train", steps = plan.steps).entered();
     let checkpoint_every = (plan.steps / 10).clamp(100, 1000);
-    let (mut saved_at, mut saving) = (Instant::now(), Duration::ZERO);
+    let (mut saved_at, mut saving, mut full_disks) = (Instant::now(), Duration::ZERO, 0);
     while !session.trainer().is_done() {
         let outcome = session.step()?;
         let steps_done = session.trainer().steps_done();
@@ -226,9 +230,19 @@ fn train_on(
             && saved_at.elapsed().mul_f64(CHECKPOINT_SHARE) >= saving;
         if is_due && !session.trainer().is_done() {
             let start = Instant::now();
-            checkpoint::write(out, session.fingerprint(), session.trainer(), spent(), curve.curve())?;
+            match checkpoint::write(out, session.fingerprint(), session.trainer(), spent(), curve.curve()) {
+                // The training goes on; the next checkpoint may fit.
+                Err(error) if is_full_disk(&error) => {
+                    full_disks += 1;
+                    progress
+                        .show(&AgentEvent::Retrying { reason: format!("{error:#}"), attempt: full_disks });
+                }
+                written => {
+                    written?;
+                    *resumes = true;
+                }
+            }
             (saved_at, saving) = (Instant::now(), start.elapsed());
-            *resumes = true;
         }
         if stoppable.is_asked() && !session.trainer().is_done() {
             checkpoint::write(out, session.fingerprint(), session.trainer(), spent(), curve.curve())?;
@@ -237,10 +251,31 @@ fn train_on(
     }
     drop((span, stoppable));
     let spent = spent();
-    checkpoint::write(out, session.fingerprint(), session.trainer(), spent, curve.curve())?;
-    let report = finish(plan, session, out, spent, curve.curve())?;
+    until_room(progress, || {
+        checkpoint::write(out, session.fingerprint(), session.trainer(), spent, curve.curve())
+    })?;
+    let report = finish(plan, session, out, spent, curve.curve(), progress)?;
     progress.show(&AgentEvent::Trained { report: report.clone() });
     Ok(report)
+}
+
+/// Writes, again and again while the disk is full.
+fn until_room(progress: &mut Progress, mut write: impl FnMut() -> Result<()>) -> Result<()> {
+    let mut attempt = 0;
+    loop {
+        match write() {
+            Err(error) if is_full_disk(&error) => {
+                attempt += 1;
+                progress.show(&AgentEvent::Retrying { reason: format!("{error:#}"), attempt });
+                thread::sleep(FULL_DISK_WAIT);
+            }
+            result => return result,
+        }
+    }
+}
+
+fn is_full_disk(error: &anyhow::Error) -> bool {
+    error.downcast_ref().is_some_and(files::is_full_disk)
 }
 
 /// Scores the trained model on the held-out views, and writes model, cameras and report into `out`.
@@ -250,6 +285,7 @@ fn finish(
     out: &Path,
     spent: Spent,
     curve: &Curve,
+    progress: &mut Progress,
 ) -> Result<TrainReport> {
     let given_up = session.given_up();
     let (frame, cameras, held_out, size_px) =
@@ -283,7 +319,7 @@ fn finish(
         given_up,
         curve: curve.clone(),
     };
-    outputs::write(out, &splats, &cameras, &frame, &report)?;
+    until_room(progress, || outputs::write(out, &splats, &cameras, &frame, &report))?;
     Ok(report)
 }
 

@@ -61,7 +61,7 @@ impl BrokerArgs {
 /// read up to its last complete message.
 #[derive(Args)]
 pub(crate) struct RecordArgs {
-    /// File to write
+    /// File to write, which must not exist yet
     file: PathBuf,
     #[command(flatten)]
     broker: BrokerArgs,
@@ -106,7 +106,12 @@ pub(crate) struct ReplayArgs {
 
 pub(crate) fn record(args: &RecordArgs) -> Result<()> {
     let (tls, stop) = (args.broker.tls()?, stop_on_interrupt()?);
-    let file = File::create(&args.file).map_err(|cause| SceneError::io(&args.file, cause))?;
+    let file = File::create_new(&args.file).map_err(|cause| match cause.kind() {
+        io::ErrorKind::AlreadyExists => {
+            anyhow!("{}: exists already; name another file, or delete it", args.file.display())
+        }
+        _ => SceneError::io(&args.file, cause).into(),
+    })?;
     let out = BufWriter::new(file);
     let count = traffic::record(
         &args.broker.broker,

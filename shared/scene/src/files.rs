@@ -46,6 +46,17 @@ pub fn is_damage(error: &SceneError) -> bool {
     }
 }
 
+/// Whether an error means that the disk is full, so that the same may succeed later.
+pub fn is_full_disk(error: &SceneError) -> bool {
+    match error {
+        SceneError::Io { cause, .. } => {
+            matches!(cause.kind(), io::ErrorKind::StorageFull | io::ErrorKind::QuotaExceeded)
+        }
+        SceneError::DiskFull { .. } => true,
+        _ => false,
+    }
+}
+
 /// Renames a folder, a FIFO or a device that has the path of a file, so that the file can be written. Returns the new path.
 pub fn set_aside_unless_file(path: &Path) -> Result<Option<PathBuf>, SceneError> {
     (path.exists() && !path.is_file()).then(|| set_aside(path)).transpose()

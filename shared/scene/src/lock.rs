@@ -4,7 +4,7 @@ use std::fs::{self, File, OpenOptions, TryLockError};
 use std::io::{ErrorKind, Read, Write};
 use std::path::Path;
 
-use crate::{SceneError, files};
+use crate::{SceneError, atomic, files};
 
 /// The file in the folder that is locked. It stays when the lock is gone.
 const NAME: &str = "lock";
@@ -19,7 +19,8 @@ pub struct FolderLock {
 
 impl FolderLock {
     /// Creates the folder and takes the lock. Others who want it are told `program` and the number of this process. Fails
-    /// with [`SceneError::InUse`] if somebody else has it. Where the file system cannot lock files, nobody is kept out.
+    /// with [`SceneError::InUse`] if somebody else has it. Where the file system cannot lock files, nobody is kept out. Deletes
+    /// what killed programs left of unfinished files.
     pub fn take(folder: &Path, program: &str) -> Result<Self, SceneError> {
         fs::create_dir_all(folder).map_err(|cause| SceneError::io(folder, cause))?;
         let path = folder.join(NAME);
@@ -39,6 +40,7 @@ impl FolderLock {
         // The name only serves others; the lock holds without it, on a full disk too.
         let _ = file.set_len(0);
         let _ = write!(file, "{program}, process {}", std::process::id());
+        atomic::remove_partial_files(folder)?;
         Ok(Self { _file: file })
     }
 }
@@ -65,7 +67,9 @@ mod tests {
         let holder = format!("cosurf-agent run, process {}", std::process::id());
         assert!(error.contains(&holder) && error.contains("another folder"), "{error}");
         drop(first);
+        fs::write(out.join(".model.ply.77-0.partial"), "part of a file").unwrap();
         FolderLock::take(&out, "cosurf-agent train").unwrap();
+        assert_eq!(fs::read_dir(&out).unwrap().count(), 1, "only the lock");
     }
 
     #[test]
