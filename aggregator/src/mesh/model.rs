@@ -43,7 +43,7 @@ pub fn mesh_file(
 }
 
 /// Renders the model in the PLY file `path`, moved into `frame`, from every camera, each once, and calls `visit` with the
-/// camera, as it was rendered, and the rendering. The process takes at most `memory_bytes`; if that is too little for a
+/// number of renderings so far and in all, the camera, as it was rendered, and the rendering. The process takes at most `memory_bytes`; if that is too little for a
 /// picture, pictures shrink.
 pub(crate) fn render_each<E: From<MeshError>>(
     path: PathBuf,
@@ -51,13 +51,15 @@ pub(crate) fn render_each<E: From<MeshError>>(
     cameras: &[Camera],
     memory_bytes: u64,
     threads: usize,
-    mut visit: impl FnMut(&Camera, &Rendering) -> Result<(), E>,
+    mut visit: impl FnMut([usize; 2], &Camera, &Rendering) -> Result<(), E>,
 ) -> Result<(), E> {
     let mut views = open(path, frame, threads)?;
     let Fitted { cameras, .. } = fit(&mut views, cameras, u32::MAX, memory_bytes)?;
     let mut painter = FilePainter(views.limited(memory_bytes));
     painter.expect(cameras.clone());
-    cameras.iter().try_for_each(|camera| visit(camera, &painter.render(camera)?))
+    let of = cameras.len();
+    let mut render = |(i, camera)| visit([i + 1, of], camera, &painter.render(camera)?);
+    cameras.iter().enumerate().try_for_each(&mut render)
 }
 
 fn open(path: PathBuf, frame: &LocalFrame, threads: usize) -> Result<Views, MeshError> {

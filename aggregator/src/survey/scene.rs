@@ -57,17 +57,17 @@ impl Scene {
         Ok(Relief { voxel_m: fused.voxel_m * self.frame.unit(), mesh: fused.mesh })
     }
 
-    /// Calls `visit` with each camera, in the world, and its rendering, whose lengths are in units of the frame. Pictures
+    /// Calls `visit` with the number of renderings so far and in all, each camera, in the world, and its rendering, whose lengths are in units of the frame. Pictures
     /// shrink to fit into the memory.
     pub(super) fn render_each(
         &self,
         memory_bytes: u64,
         threads: usize,
-        mut visit: impl FnMut(&Camera, &Rendering) -> Result<(), SurveyError>,
+        mut visit: impl FnMut([usize; 2], &Camera, &Rendering) -> Result<(), SurveyError>,
     ) -> Result<(), SurveyError> {
         let (model, cameras) = (self.model.clone(), self.local_cameras());
-        render_each(model, &self.frame, &cameras, memory_bytes, threads, |camera, rendering| {
-            visit(&self.frame.world_camera(camera), rendering)
+        render_each(model, &self.frame, &cameras, memory_bytes, threads, |counts, camera, rendering| {
+            visit(counts, &self.frame.world_camera(camera), rendering)
         })
     }
 

@@ -1,6 +1,8 @@
 //! Surveys of a synthetic slope, whose heights are known.
 #![allow(clippy::unwrap_used)]
 
+mod validated;
+
 use std::path::Path;
 use std::process::Command;
 
@@ -10,11 +12,13 @@ use cosurf_scene::{Camera, LocalFrame, Splats, camera_list, ply};
 use cosurf_tests::skips::skip;
 use glam::{DVec2, DVec3};
 
+use super::colors::Painter;
 use super::heights::{Ground, Surface, find_heights};
 use super::lattice::Lattice;
 use super::place::Place;
 use super::quadtree::Quadtree;
 use super::scene::Scene;
+use super::splats::splats_from_above;
 use super::tiles::Tiles;
 use super::witnesses::Witnesses;
 use super::{SurveyError, SurveyOrder, survey};
@@ -75,17 +79,9 @@ fn heights(scene: &Scene, folder: &Path, tile_px: u32) -> (Lattice, Vec<f32>) {
     let surface =
         Surface { mesh: &relief.mesh, tree: &tree, frame: &scene.frame, ceiling_m: ground.ceiling_m };
     let lattice = Lattice::around(place, &ground.extent, 0.1).unwrap();
-    let [width, height] = lattice.size_px().map(|side| side as usize);
     let mut tiles = Tiles::new(folder, lattice.size_px(), tile_px).unwrap();
     find_heights(&surface, &witnesses, &lattice, &mut tiles, |_, _| ()).unwrap();
-    let mut all = vec![0.0; width * height];
-    for tile in 0..tiles.len() {
-        let (window, values) = (tiles.window(tile), tiles.read(tile).unwrap());
-        for (row, values) in values.chunks(window.size[0] as usize).enumerate() {
-            let first = (window.at[1] as usize + row) * width + window.at[0] as usize;
-            all[first..first + values.len()].copy_from_slice(values);
-        }
-    }
+    let all = whole(&mut tiles, 0.0);
     (lattice, all)
 }
 
@@ -160,6 +156,60 @@ fn all_files_are_written_and_readers_understand_them() {
     levels.dedup();
     assert!(levels.contains(&70.0) && levels.contains(&71.0) && levels.len() >= 5, "{levels:?}");
     check_with_gdal(&out("dsm.tif"), &out("ortho.tif"));
+    validated::check(&order.out, accuracy.points);
+}
+
+#[test]
+fn the_orthophoto_has_no_seams_between_tiles() {
+    let folder = tempfile::tempdir().unwrap();
+    model(folder.path());
+    let scene = Scene::open(folder.path(), MEMORY_BYTES).unwrap();
+    let (lattice, heights) = heights(&scene, folder.path(), 512);
+    let colors = |tile_px: u32| {
+        let mut tiles = tiles_of(&heights, folder.path(), lattice.size_px(), tile_px);
+        let kept = splats_from_above(&scene, &lattice, &mut tiles, 0.1).unwrap();
+        assert_eq!(kept.left_out, 1, "only the red splat floats");
+        let mut colors = Tiles::new(folder.path(), lattice.size_px(), tile_px).unwrap();
+        Painter::new(&kept.splats, scene.frame, 2)
+            .paint(&lattice, &mut tiles, &mut colors, |_, _| ())
+            .unwrap();
+        whole(&mut colors, [0; 4])
+    };
+    let (large, small) = (colors(512), colors(32));
+    assert!(large.iter().filter(|color| color[3] == 255).count() > 10_000);
+    // Cameras of other tiles see the splats at angles that differ by less than a milliradian.
+    let differs = |(a, b): (&[u8; 4], &[u8; 4])| (0..4).any(|k| a[k].abs_diff(b[k]) > 2) && a[3] == 255;
+    let count = large.iter().zip(&small).filter(|(a, b)| differs((a, b))).count();
+    assert!(count * 1000 < large.len(), "{count} of {} pixels differ", large.len());
+}
+
+/// The values of a map, pixel by pixel.
+fn whole<T: bytemuck::Pod>(tiles: &mut Tiles<T>, nothing: T) -> Vec<T> {
+    let width = tiles.size_px()[0] as usize;
+    let mut all = vec![nothing; width * tiles.size_px()[1] as usize];
+    for tile in 0..tiles.len() {
+        let (window, values) = (tiles.window(tile), tiles.read(tile).unwrap());
+        for (row, values) in values.chunks(window.size[0] as usize).enumerate() {
+            let first = (window.at[1] as usize + row) * width + window.at[0] as usize;
+            all[first..first + values.len()].copy_from_slice(values);
+        }
+    }
+    all
+}
+
+/// The same map in tiles of this side, px.
+fn tiles_of(heights: &[f32], folder: &Path, size_px: [u32; 2], tile_px: u32) -> Tiles<f32> {
+    let mut tiles = Tiles::new(folder, size_px, tile_px).unwrap();
+    for tile in 0..tiles.len() {
+        let window = tiles.window(tile);
+        let value = |i: u32| {
+            let [x, y] = [window.at[0] + i % window.size[0], window.at[1] + i / window.size[0]];
+            heights[(y * size_px[0] + x) as usize]
+        };
+        let values: Vec<f32> = (0..window.pixels() as u32).map(value).collect();
+        tiles.write(tile, &values).unwrap();
+    }
+    tiles
 }
 
 /// Reads the maps with GDAL's programs, if they are there.

@@ -51,7 +51,7 @@ pub(super) struct ViewOrder {
     pub(super) threads: usize,
 }
 
-/// Finds the views of all pixels. `on_view` gets the number of views that are done, and of all cameras.
+/// Finds the views of all pixels. `on_view` gets the number of views that are done, and of all.
 pub(super) fn find_views(
     scene: &Scene,
     lattice: &Lattice,
@@ -67,8 +67,7 @@ pub(super) fn find_views(
         balls.push(ball(&lattice.columns(window)?, &heights.read(tile)?));
     }
     let unit_m = scene.frame.unit();
-    let mut done = 0;
-    scene.render_each(order.memory_bytes, order.threads, |camera, rendering| {
+    scene.render_each(order.memory_bytes, order.threads, |[done, of], camera, rendering| {
         let frustum = Frustum::new(camera);
         let picture = Picture { camera, rendering, unit_m, same_m: SAME_VOXELS * order.voxel_m };
         for (tile, ball) in balls.iter().enumerate() {
@@ -83,8 +82,7 @@ pub(super) fn find_views(
                 views.write(tile, &values)?;
             }
         }
-        done += 1;
-        on_view(done, scene.cameras.len());
+        on_view(done, of);
         Ok(())
     })
 }
