@@ -152,6 +152,23 @@ fn glb_files_follow_the_specification() {
 }
 
 #[test]
+fn glb_files_have_extras_and_show_colours_as_they_are_without_normals() {
+    let folder = tempfile::tempdir().unwrap();
+    let path = folder.path().join("a.glb");
+    let json = |mesh: &Mesh, extras: Value| -> Value {
+        mesh.write_glb(&path, extras.as_object().unwrap()).unwrap();
+        let bytes = std::fs::read(&path).unwrap();
+        let length = u32::from_le_bytes(bytes[12..16].try_into().unwrap()) as usize;
+        serde_json::from_slice(&bytes[20..20 + length]).unwrap()
+    };
+    let with_normals = json(&corner(), serde_json::json!({}));
+    assert!(with_normals.get("extensionsUsed").is_none() && with_normals["asset"].get("extras").is_none());
+    let flat = json(&Mesh { normals: Vec::new(), ..corner() }, serde_json::json!({"epsg": 2180}));
+    assert_eq!(flat["extensionsUsed"], serde_json::json!(["KHR_materials_unlit"]));
+    assert_eq!(flat["asset"]["extras"]["epsg"], 2180);
+}
+
+#[test]
 fn the_worlds_z_axis_is_up_in_gltf() {
     let json_of = |bytes: &[u8]| -> Value {
         let length = u32::from_le_bytes(bytes[12..16].try_into().unwrap()) as usize;
