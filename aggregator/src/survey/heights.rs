@@ -110,8 +110,8 @@ impl Surface<'_> {
     }
 }
 
-/// Length that a pixel covers on the surface, metres: the median over a coarse picture in which each pixel shows the nearest
-/// of these places.
+/// Length that a pixel covers on the surface, metres: the median over a coarse picture in which each pixel shows the
+/// nearest of these places.
 fn covers_m(camera: &Camera, places: &[DVec3]) -> Option<f64> {
     let small = camera.fitted(MEASURED_PX);
     let mut depths: HashMap<[u32; 2], f64> = HashMap::new();

@@ -57,8 +57,8 @@ impl Scene {
         Ok(Relief { voxel_m: fused.voxel_m * self.frame.unit(), mesh: fused.mesh })
     }
 
-    /// Calls `visit` with the number of renderings so far and in all, each camera, in the world, and its rendering, whose lengths are in units of the frame. Pictures
-    /// shrink to fit into the memory.
+    /// Calls `visit` with the number of renderings so far and in all, each camera, in the world, and its rendering, whose
+    /// lengths are in units of the frame. Pictures shrink to fit into the memory.
     pub(super) fn render_each(
         &self,
         memory_bytes: u64,

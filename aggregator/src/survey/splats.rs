@@ -94,26 +94,17 @@ fn floating(
         for splat in group {
             let at = map(*splat as usize)?;
             let px = lattice.px_from_map(at.truncate());
-            floats_if(
-                highest_near(&around, window, px, beside_px),
-                at.z,
-                world(*splat as usize).z,
-                voxel_m,
-                lowest_eye_m,
-            )
-            .then(|| floating.push(*splat));
+            let floats = match highest_near(&around, window, px, beside_px) {
+                Some(surface_m) => at.z > surface_m + FLOATING_VOXELS * voxel_m,
+                None => world(*splat as usize).z > lowest_eye_m,
+            };
+            if floats {
+                floating.push(*splat);
+            }
         }
     }
     floating.sort_unstable();
     Ok(floating)
-}
-
-/// Whether a splat floats, by the ellipsoidal height of the surface below it, its own, and its height in the world, metres.
-fn floats_if(surface_m: Option<f64>, height_m: f64, world_z_m: f64, voxel_m: f64, lowest_eye_m: f64) -> bool {
-    match surface_m {
-        Some(surface_m) => height_m > surface_m + FLOATING_VOXELS * voxel_m,
-        None => world_z_m > lowest_eye_m,
-    }
 }
 
 /// The highest of nine heights: at a position in the map, and `beside_px` to each side of it.
