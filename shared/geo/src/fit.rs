@@ -20,13 +20,17 @@ mod up;
 use crate::error::GeoError;
 use crate::georeference::{FitUncertainty, GpsResiduals};
 use crate::similarity::Similarity;
+use glam::DVec3;
 pub use observation::Sighting;
-use refine::refine;
+use refine::{Spread, refine, worth};
 use start::start;
 pub use up::Up;
 
 /// Fewest places that a fit by GPS takes: with two, nothing would tell that one is wrong.
 const GPS_MIN: usize = 3;
+
+/// Fewest control points of which one can be wrong: the others must outvote it.
+const CONTROL_JUDGED_MIN: usize = 4;
 
 /// Places that make the scale change more than so many times contradict each other: noise of any kind shrinks the scale.
 const SCALE_CHANGE_MAX: f64 = 4.0;
@@ -37,11 +41,24 @@ pub struct Fit {
     /// To ENU of the site.
     pub similarity: Similarity,
     /// How well GPS agrees; `None` without GPS.
-    pub gps: Option<GpsResiduals>,
-    /// For each place of GPS, whether it agrees with most of the others.
-    pub agrees: Vec<bool>,
+    pub residuals: Option<GpsResiduals>,
+    /// What each place of GPS is worth.
+    pub gps: Vec<Judged>,
+    /// What each control point is worth.
+    pub control: Vec<Judged>,
     /// How well the place is known.
     pub uncertainty: FitUncertainty,
+}
+
+/// What a place is worth in a fit.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct Judged {
+    /// Whether it agrees with most of the others. Fewer than four control points always agree: nobody could tell which one
+    /// is wrong.
+    pub agrees: bool,
+    /// Inverse variances along east, north and up, 1/m²; next to nothing for a place that contradicts the others. All places
+    /// of GPS together are worth only a few, because their errors are alike.
+    pub weight: DVec3,
 }
 
 /// Fits the places that GPS gives to photographs (`gps`), and control points (`control`). A fit takes two control points,
@@ -65,14 +82,23 @@ pub fn fit(gps: &[Sighting], control: &[Sighting], up: &Up) -> Result<Fit, GeoEr
     if !(1.0 / SCALE_CHANGE_MAX..=SCALE_CHANGE_MAX).contains(&changed) {
         return Err(GeoError::NoFit("the places of photographs or control points contradict the poses"));
     }
-    let agrees: Vec<bool> =
-        gps.iter().map(|place| refined.spread.holds(&refined.similarity, place)).collect();
-    let gps = (!gps.is_empty()).then(|| residuals(gps, &agrees, &refined.similarity));
-    Ok(Fit { similarity: refined.similarity, gps, agrees, uncertainty: refined.uncertainty })
+    let (similarity, uncertainty) = (refined.similarity, refined.uncertainty);
+    let judge = |spread: &Spread, worth: f64, place: &Sighting| Judged {
+        agrees: spread.holds(&similarity, place),
+        weight: spread.weight(&similarity, place, worth),
+    };
+    let [of_gps, of_control] = &refined.spreads;
+    let worth = worth(gps.len());
+    let gps_judged: Vec<Judged> = gps.iter().map(|place| judge(of_gps, worth, place)).collect();
+    let may_judge = control.len() >= CONTROL_JUDGED_MIN;
+    let control = control.iter().map(|place| judge(of_control, 1.0, place));
+    let control = control.map(|its| Judged { agrees: its.agrees || !may_judge, ..its }).collect();
+    let residuals = (!gps.is_empty()).then(|| residuals(gps, &gps_judged, &similarity));
+    Ok(Fit { similarity, residuals, gps: gps_judged, control, uncertainty })
 }
 
-fn residuals(gps: &[Sighting], agrees: &[bool], similarity: &Similarity) -> GpsResiduals {
-    let agreeing = || gps.iter().zip(agrees).filter(|(_, agrees)| **agrees).map(|(place, _)| place);
+fn residuals(gps: &[Sighting], judged: &[Judged], similarity: &Similarity) -> GpsResiduals {
+    let agreeing = || gps.iter().zip(judged).filter(|(_, its)| its.agrees).map(|(place, _)| place);
     let rms = |squares: &mut dyn Iterator<Item = f64>| {
         let (sum, count) = squares.fold((0.0, 0), |(sum, count), square| (sum + square, count + 1));
         (sum / f64::from(count.max(1))).sqrt()

@@ -44,7 +44,7 @@ mod table;
 
 pub use ellipsoid::Geodetic;
 pub use error::GeoError;
-pub use fit::{Fit, Sighting, Up, fit};
+pub use fit::{Fit, Judged, Sighting, Up, fit};
 pub use gcp::{ControlPoint, Mark, read_gcp_list};
 pub use geo_txt::{PhotoPlace, read_geo_txt};
 pub use georeference::{FitUncertainty, Georeference, GpsResiduals, PointResidual};

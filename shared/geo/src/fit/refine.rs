@@ -28,7 +28,8 @@ const SIGMA_PER_MEDIAN_2D: f64 = 0.8493;
 /// A refined similarity.
 pub(super) struct Refined {
     pub(super) similarity: Similarity,
-    pub(super) spread: Spread,
+    /// Of GPS and of control points.
+    pub(super) spreads: [Spread; 2],
     pub(super) uncertainty: FitUncertainty,
 }
 
@@ -66,6 +67,22 @@ impl Spread {
         let [horizontal_m, vertical_m] = self.sigmas(place);
         off.truncate().length() <= AGREES_WITHIN * horizontal_m && off.z.abs() <= AGREES_WITHIN * vertical_m
     }
+
+    /// What a place is worth: inverse variances along east, north and up, 1/m². `worth` is that of one that agrees.
+    pub(super) fn weight(&self, similarity: &Similarity, place: &Sighting, worth: f64) -> DVec3 {
+        let off = place.residual(similarity);
+        let [horizontal_m, vertical_m] = self.sigmas(place);
+        // A place that is wrong in the plane has no good height either.
+        let trust = worth * weight(off.truncate().length() / horizontal_m);
+        let horizontal = trust / (horizontal_m * horizontal_m);
+        let vertical = trust * weight(off.z / vertical_m) / (vertical_m * vertical_m);
+        DVec3::new(horizontal, horizontal, if place.has_height { vertical } else { 0.0 })
+    }
+}
+
+/// What each of so many places of GPS is worth, compared to an independent one.
+pub(super) fn worth(places: usize) -> f64 {
+    (GPS_WORTH / places.max(1) as f64).min(1.0)
 }
 
 /// Refines `start` with all observations.
@@ -77,7 +94,7 @@ pub(super) fn refine(
 ) -> Result<Refined, GeoError> {
     let places = || gps.iter().chain(control);
     let middle = places().map(|place| place.model).sum::<DVec3>() / places().count().max(1) as f64;
-    let worth = (GPS_WORTH / gps.len().max(1) as f64).min(1.0);
+    let worth = worth(gps.len());
     let mut similarity = *start;
     let mut last = None;
     for _ in 0..ROUNDS {
@@ -91,9 +108,9 @@ pub(super) fn refine(
             .solve()
             .ok_or(GeoError::NoFit("the places of the photographs or control points do not tell a scale"))?;
         similarity = moved(&similarity, middle, &step);
-        last = Some((spreads[0], covariance));
+        last = Some((spreads, covariance));
     }
-    let (spread, covariance) = last.ok_or(GeoError::NoFit("nothing was fitted"))?;
+    let (spreads, covariance) = last.ok_or(GeoError::NoFit("nothing was fitted"))?;
     let sigma = |unknowns: &[usize]| unknowns.iter().map(|&i| covariance[i][i]).sum::<f64>().sqrt();
     let uncertainty = FitUncertainty {
         tilt_deg: sigma(&[0, 1]).to_degrees(),
@@ -102,7 +119,7 @@ pub(super) fn refine(
         horizontal_m: sigma(&[4, 5]),
         vertical_m: sigma(&[6]),
     };
-    Ok(Refined { similarity, spread, uncertainty })
+    Ok(Refined { similarity, spreads, uncertainty })
 }
 
 /// Adds the equations of a place.
@@ -116,16 +133,10 @@ fn observe(
 ) {
     let arm = similarity.scale * (similarity.rotation * (place.model - middle));
     let off = place.residual(similarity);
-    let [horizontal_m, vertical_m] = spread.sigmas(place);
-    // A place that is wrong in the plane has no good height either.
-    let trust = worth * weight(off.truncate().length() / horizontal_m);
-    let horizontal = trust / (horizontal_m * horizontal_m);
-    normal.add(&[0.0, arm.z, -arm.y, arm.x, 1.0, 0.0, 0.0], -off.x, horizontal);
-    normal.add(&[-arm.z, 0.0, arm.x, arm.y, 0.0, 1.0, 0.0], -off.y, horizontal);
-    if place.has_height {
-        let vertical = trust * weight(off.z / vertical_m) / (vertical_m * vertical_m);
-        normal.add(&[arm.y, -arm.x, 0.0, arm.z, 0.0, 0.0, 1.0], -off.z, vertical);
-    }
+    let weight = spread.weight(similarity, place, worth);
+    normal.add(&[0.0, arm.z, -arm.y, arm.x, 1.0, 0.0, 0.0], -off.x, weight.x);
+    normal.add(&[-arm.z, 0.0, arm.x, arm.y, 0.0, 1.0, 0.0], -off.y, weight.y);
+    normal.add(&[arm.y, -arm.x, 0.0, arm.z, 0.0, 0.0, 1.0], -off.z, weight.z);
 }
 
 /// Adds the equations of the direction of up.

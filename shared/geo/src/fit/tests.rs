@@ -45,7 +45,7 @@ fn exact_places_give_the_exact_similarity_whatever_up_says() {
     assert!(tilt_deg(&fit) < 0.2, "{}", tilt_deg(&fit));
     let worst = gps.iter().map(|place| place.residual(&fit.similarity).length()).fold(0.0, f64::max);
     assert!(worst < 0.2, "{worst} m");
-    assert!(fit.agrees.iter().all(|agrees| *agrees));
+    assert!(fit.gps.iter().all(|its| its.agrees));
     assert!((fit.similarity.scale / TRUTH.scale - 1.0).abs() < 0.001);
 }
 
@@ -55,12 +55,12 @@ fn one_photograph_ten_kilometres_off_changes_nothing() {
     let without = fit(&gps[1..], &[], &up(1.0, 2.0)).unwrap();
     gps[0].enu_m += DVec3::new(10_000.0, 0.0, 0.0);
     let with = fit(&gps, &[], &up(1.0, 2.0)).unwrap();
-    assert_eq!(with.agrees.iter().filter(|agrees| !**agrees).count(), 1);
-    assert!(!with.agrees[0]);
+    assert_eq!(with.gps.iter().filter(|its| !its.agrees).count(), 1);
+    assert!(!with.gps[0].agrees && with.gps[0].weight.length() < 1e-6 * with.gps[1].weight.length());
     let place = sighting(20, DVec3::ZERO).model;
     assert!(with.similarity.apply(place).distance(without.similarity.apply(place)) < 0.5);
-    assert_eq!(with.gps.unwrap().photographs, 40);
-    assert!((2.0..8.0).contains(&with.gps.unwrap().horizontal_rms_m), "{:?}", with.gps);
+    assert_eq!(with.residuals.unwrap().photographs, 40);
+    assert!((2.0..8.0).contains(&with.residuals.unwrap().horizontal_rms_m), "{:?}", with.residuals);
 }
 
 #[test]
@@ -70,7 +70,7 @@ fn drifting_heights_do_not_tilt_the_ground() {
     let gps: Vec<_> = (0..40).map(|i| sighting(i, drift(i))).collect();
     let fit = fit(&gps, &[], &up(1.0, 2.0)).unwrap();
     assert!(tilt_deg(&fit) < 6.0, "{}", tilt_deg(&fit));
-    assert!(fit.gps.unwrap().vertical_rms_m > 5.0, "{:?}", fit.gps);
+    assert!(fit.residuals.unwrap().vertical_rms_m > 5.0, "{:?}", fit.residuals);
     assert!((0.5..6.0).contains(&fit.uncertainty.tilt_deg), "{:?}", fit.uncertainty);
 }
 
@@ -91,8 +91,29 @@ fn control_points_outweigh_gps() {
     let off = fit.similarity.apply(sighting(20, DVec3::ZERO).model).distance(sighting(20, DVec3::ZERO).enu_m);
     assert!(off < 0.2, "{off} m");
     assert!(fit.uncertainty.horizontal_m < 0.2, "{:?}", fit.uncertainty);
-    let horizontal_m = fit.gps.unwrap().horizontal_rms_m;
+    let horizontal_m = fit.residuals.unwrap().horizontal_rms_m;
     assert!((7.0..13.0).contains(&horizontal_m), "GPS is 8 m off: {horizontal_m}");
+}
+
+#[test]
+fn one_of_four_control_points_that_is_wrong_is_told() {
+    let gps: Vec<_> = (0..40).map(|i| sighting(i, noise(i, 3.0))).collect();
+    let control = |count: usize| {
+        let mut control: Vec<_> = [0, 9, 30, 39, 20][..count]
+            .iter()
+            .map(|i| Sighting { sigma_m: 0.05, ..sighting(*i, noise(*i, 0.02)) })
+            .collect();
+        control[1].enu_m.x += 2.0;
+        control
+    };
+    let five = fit(&gps, &control(5), &up(1.0, 2.0)).unwrap();
+    assert_eq!(
+        five.control.iter().map(|its| its.agrees).collect::<Vec<_>>(),
+        [true, false, true, true, true]
+    );
+    assert!(five.control[1].weight.x < 1e-3 * five.control[0].weight.x, "{:?}", five.control);
+    let three = fit(&gps, &control(3), &up(1.0, 2.0)).unwrap();
+    assert!(three.control.iter().all(|its| its.agrees), "nobody can tell which one is wrong");
 }
 
 #[test]
