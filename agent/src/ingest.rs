@@ -1,37 +1,41 @@
 //! From a folder of photographs to a dataset that can be trained on, in its place on the earth.
 //!
 //! COLMAP finds where the photographs were taken ([`stages`]), in a frame and a scale of its own. GPS and control points
-//! tell where that frame lies ([`placing`]); then the dataset is written in ENU of the site ([`publishing`]).
+//! tell where that frame lies ([`placing`]), and straighten it ([`adjustment`]); then the dataset is written in ENU of the
+//! site ([`publishing`]).
 //!
 //! The folder `.ingest` of the dataset keeps COLMAP's work, so that a run that was stopped goes on where it was.
 //!
 //! What it knows nothing about: splats and training. Where to start reading: [`ingest`].
 
+mod adjustment;
 mod colmap;
 mod control;
 mod error;
+mod lens;
 mod pairs;
 mod photographs;
 mod placing;
 mod publishing;
 mod recipe;
 mod reconstruction;
+mod settling;
 mod stages;
 
 use std::fs;
 use std::path::{Path, PathBuf};
 
 use cosurf_contract::{AgentEvent, IngestReport, IngestStage};
-use cosurf_geo::{GeoError, Geodetic, Georeference, Up};
+use cosurf_geo::{Geodetic, Georeference};
 use cosurf_scene::{Dataset, FolderLock, SceneError};
-use glam::DVec3;
 
 use colmap::Colmap;
 pub use error::IngestError;
 use photographs::Photographs;
-use placing::{Placed, Places, up_of, upright};
+use placing::{Places, up_of};
 use recipe::Recipe;
 use reconstruction::Reconstruction;
+use settling::settle;
 use stages::Stages;
 
 /// Folder of COLMAP's work in that of the dataset.
@@ -88,38 +92,23 @@ pub fn ingest(plan: &IngestPlan, tell: &mut dyn FnMut(AgentEvent)) -> Result<Ing
     stages.run(&recipe.matches()?)?;
     stages.run(&recipe.poses()?)?;
     let log = stages.log(IngestStage::Poses);
-    let found = recipe.reconstructions(&log)?;
-    let (chosen, its) = choose(&found, places.as_ref());
+    let mut others = recipe.reconstructions(&log)?;
+    let mut its = others.swap_remove(best_of(&others, places.as_ref()));
     if its.posed.len() < POSED_MIN {
         return Err(IngestError::NoPoses { posed: its.posed.len(), photographs: count, log });
     }
-    stages.run(&recipe.undistorting(chosen, its.posed.len())?)?;
+    let placed = settle(&mut its, places.as_ref(), &mut |event| stages.tell(event))?;
+    stages.run(&recipe.undistorting(&its)?)?;
 
     let (dataset, _) = Dataset::open_within(&recipe.undistorted(), usize::MAX)?;
-    let points: Vec<DVec3> = dataset.points.iter().map(|point| point.position).collect();
-    let poses = dataset.views.iter().map(|view| &view.camera.cam_from_world);
-    let up = up_of(poses, &points).ok_or(IngestError::NoPoses { posed: 0, photographs: count, log })?;
-    let placed = place(places.as_ref(), its, &up)?;
-    tell_left_out(tell, &unposed(&photographs, its, &found));
+    tell_left_out(tell, &unposed(&photographs, &its, &others));
     tell_left_out(tell, &placed.left_out);
-    let Placed { similarity, georeference, .. } = placed;
+    let georeference = placed.georeference;
+    publishing::publish(&plan.out, &work, &dataset, georeference.as_ref())?;
     let (posed, points) = (dataset.views.len(), dataset.points.len());
-    publishing::publish(&plan.out, &work, dataset, &similarity, georeference.as_ref())?;
     let report = IngestReport { photographs: all, posed, points, georeferenced: georeference.is_some() };
     tell(AgentEvent::Ingested { report: report.clone() });
     Ok(Ingested { report, georeference })
-}
-
-/// Places a reconstruction; only upright if nothing tells where it lies.
-fn place(places: Option<&Places>, its: &Reconstruction, up: &Up) -> Result<Placed, IngestError> {
-    match places.map(|places| places.place(its, up)) {
-        Some(Err(GeoError::NoFit(reason))) => {
-            let left_out = vec![("the place on the earth".to_owned(), reason.to_owned())];
-            Ok(Placed { left_out, ..upright(up) })
-        }
-        Some(placed) => Ok(placed?),
-        None => Ok(upright(up)),
-    }
 }
 
 /// An existing dataset of somebody else must not be replaced, nor the photographs by their undistorted pictures.
@@ -133,33 +122,28 @@ fn refuse_occupied(out: &Path, work: &Path) -> Result<(), IngestError> {
     if is_ours || is_empty { Ok(()) } else { Err(IngestError::Occupied { folder: out.to_owned() }) }
 }
 
-/// The reconstruction that most GPS agrees with, or else with most photographs. Returns its folder, too.
-fn choose<'a>(
-    found: &'a [(PathBuf, Reconstruction)],
-    places: Option<&Places>,
-) -> (&'a Path, &'a Reconstruction) {
-    let worth = |its: &Reconstruction| {
-        let up = up_of(its.posed.iter().map(|posed| &posed.cam_from_world), &[]);
-        let placed = places.zip(up).and_then(|(places, up)| places.place(its, &up).ok());
+/// Index of the reconstruction that most GPS agrees with, or else with most photographs.
+fn best_of(found: &[Reconstruction], places: Option<&Places>) -> usize {
+    let worth = |i: &usize| {
+        let its = &found[*i];
+        let placed = places.zip(up_of(its)).and_then(|(places, up)| places.place(its, &up).ok());
         (placed.map_or(0, |placed| placed.agreeing), its.posed.len())
     };
-    let best =
-        found.iter().max_by_key(|(_, its)| worth(its)).expect("`reconstructions` fails if there are none");
-    (&best.0, &best.1)
+    (0..found.len()).max_by_key(worth).unwrap_or(0)
 }
 
 /// Names and reasons of photographs without a pose in the chosen reconstruction.
 fn unposed(
     photographs: &Photographs,
     its: &Reconstruction,
-    found: &[(PathBuf, Reconstruction)],
+    others: &[Reconstruction],
 ) -> Vec<(String, String)> {
     let has = |its: &Reconstruction, name: &str| {
         its.posed.binary_search_by(|posed| posed.name.as_str().cmp(name)).is_ok()
     };
     let missing = photographs.usable.iter().filter(|photograph| !has(its, &photograph.name));
-    let reason = |name: &str| match found.iter().find(|(_, other)| has(other, name)) {
-        Some((_, other)) => format!(
+    let reason = |name: &str| match others.iter().find(|other| has(other, name)) {
+        Some(other) => format!(
             "belongs to another part of {} photographs that shares too little ground with the chosen part; ingest it alone",
             other.posed.len()
         ),

@@ -190,6 +190,7 @@ fn describe(event: &AgentEvent) -> Option<String> {
                 IngestStage::Features => "features",
                 IngestStage::Matches => "matches",
                 IngestStage::Poses => "poses",
+                IngestStage::Adjusting => "adjusted",
                 IngestStage::Undistorting => "undistorted",
             };
             let left = match seconds_left {

@@ -3,9 +3,9 @@
 use std::collections::HashMap;
 
 use cosurf_geo::{ControlPoint, Sighting, SiteFrame};
-use glam::{DMat3, DVec3};
+use glam::{DMat3, DVec2, DVec3};
 
-use super::reconstruction::{Posed, Reconstruction};
+use super::reconstruction::Reconstruction;
 
 /// Lines of sight closer than this to each other leave the distance open, degrees.
 const ANGLE_MIN_DEG: f64 = 2.0;
@@ -22,8 +22,8 @@ const HOLD_OUT_FROM: usize = 6;
 #[derive(Clone, Debug, PartialEq)]
 pub(super) struct SeenPoint {
     pub(super) name: String,
-    /// Number of photographs that show it.
-    pub(super) photographs: usize,
+    /// Indices of the photographs that show it, and where, pixels.
+    pub(super) marks: Vec<(usize, DVec2)>,
     pub(super) sighting: Sighting,
 }
 
@@ -40,21 +40,25 @@ pub(super) struct SeenPoints {
 
 /// Finds where the reconstruction has the points.
 pub(super) fn seen(points: &[ControlPoint], its: &Reconstruction, site: &SiteFrame) -> SeenPoints {
-    let by_name: HashMap<String, &Posed> =
-        its.posed.iter().map(|posed| (file_name(&posed.name), posed)).collect();
+    let by_name: HashMap<String, usize> =
+        its.posed.iter().enumerate().map(|(i, posed)| (file_name(&posed.name), i)).collect();
     let mut all = Vec::new();
     let mut seen = SeenPoints::default();
     for point in points {
-        let marks = point.marks.iter().filter_map(|mark| {
-            let posed = by_name.get(&file_name(&mark.photograph))?;
-            its.sight(posed, mark.at_px)
-        });
-        let sights: Vec<Sight> = marks.map(|(eye, ray, focal_px)| Sight { eye, ray, focal_px }).collect();
+        let (marks, sights): (Vec<(usize, DVec2)>, Vec<Sight>) = point
+            .marks
+            .iter()
+            .filter_map(|mark| {
+                let photograph = *by_name.get(&file_name(&mark.photograph))?;
+                let (eye, ray, focal_px) = its.sight(&its.posed[photograph], mark.at_px)?;
+                Some(((photograph, mark.at_px), Sight { eye, ray, focal_px }))
+            })
+            .unzip();
         match triangulate(&sights) {
             Some(model) => {
                 let enu_m = site.enu_from_geodetic(&point.place);
                 let sighting = Sighting { model, enu_m, has_height: true, sigma_m: SIGMA_M };
-                all.push(SeenPoint { name: point.name.clone(), photographs: sights.len(), sighting });
+                all.push(SeenPoint { name: point.name.clone(), marks, sighting });
             }
             None => {
                 let reason = format!(
@@ -126,10 +130,8 @@ fn triangulate(sights: &[Sight]) -> Option<DVec3> {
 #[cfg(test)]
 mod tests {
     #![allow(clippy::unwrap_used)]
-    use cosurf_geo::{Geodetic, Mark};
-    use glam::DVec2;
-
     use super::*;
+    use cosurf_geo::{Geodetic, Mark};
 
     /// Photographs along a line, 10 above the ground.
     fn reconstruction(count: usize) -> Reconstruction {
@@ -139,6 +141,7 @@ mod tests {
         // A half turn about x looks down: the translation of the camera at (i, 0, 10) is (-i, 0, 10).
         let line = |i: usize| format!("{i} 0 1 0 0 -{i} 0 10 1 IMG_{i}.JPG\n\n");
         write("images.txt", (0..count).map(line).collect());
+        write("points3D.txt", String::new());
         Reconstruction::read(folder.path()).unwrap()
     }
 
@@ -165,7 +168,7 @@ mod tests {
         with_bad_mark.marks[2].at_px.x += 80.0;
         let points = [point("a", at, &[0, 3, 9], 0.0), with_bad_mark];
         let seen = seen(&points, &reconstruction(6), &site());
-        assert_eq!([seen.control[0].photographs, seen.control[1].photographs], [2, 5]);
+        assert_eq!([seen.control[0].marks.len(), seen.control[1].marks.len()], [2, 5]);
         assert!(seen.control[0].sighting.model.distance(at) < 1e-9, "{:?}", seen.control[0]);
         assert!(seen.control[1].sighting.model.distance(at) < 0.02, "{:?}", seen.control[1]);
         assert!((seen.control[0].sighting.enu_m - DVec3::new(0.0, 0.0, 70.0)).length() < 1e-6);

@@ -3,12 +3,13 @@
 use std::collections::HashMap;
 
 use cosurf_geo::{
-    ControlPoint, Fit, GeoError, Geodetic, Georeference, Gps, PointResidual, Sighting, Similarity, SiteFrame,
-    Up, fit,
+    ControlPoint, GeoError, Geodetic, Georeference, Gps, PointResidual, Sighting, Similarity, SiteFrame, Up,
+    fit,
 };
 use cosurf_scene::Pose;
 use glam::{DQuat, DVec3};
 
+use super::adjustment::{KnownCenter, KnownPoint};
 use super::control::{SeenPoint, seen};
 use super::photographs::Photographs;
 use super::reconstruction::{Posed, Reconstruction};
@@ -34,6 +35,9 @@ pub(super) struct Placed {
     pub(super) left_out: Vec<(String, String)>,
     /// How many places of GPS, or how many control points without GPS, agree.
     pub(super) agreeing: usize,
+    /// What an adjustment can go by, in ENU of the site.
+    pub(super) centers: Vec<KnownCenter>,
+    pub(super) points: Vec<KnownPoint>,
 }
 
 impl Places {
@@ -57,37 +61,41 @@ impl Places {
 
     /// Fits a reconstruction.
     pub(super) fn place(&self, its: &Reconstruction, up: &Up) -> Result<Placed, GeoError> {
-        let with_gps: Vec<(&Posed, &Gps)> =
-            its.posed.iter().filter_map(|posed| Some((posed, self.gps.get(&posed.name)?))).collect();
-        let gps: Vec<Sighting> = with_gps.iter().map(|(posed, gps)| self.sighting(posed, gps)).collect();
-        let points = seen(&self.control, its, &self.site);
-        let control: Vec<Sighting> = points.control.iter().map(|point| point.sighting).collect();
-        let Fit { similarity, gps: residuals, agrees, uncertainty } = fit(&gps, &control, up)?;
-        let residual = |point: &SeenPoint| PointResidual {
-            name: point.name.clone(),
-            photographs: point.photographs,
-            residual_m: (similarity.apply(point.sighting.model) - point.sighting.enu_m).to_array(),
-        };
+        let (photographs, gps): (Vec<usize>, Vec<Sighting>) = self.sightings(its).unzip();
+        let seen = seen(&self.control, its, &self.site);
+        let control: Vec<Sighting> = seen.control.iter().map(|point| point.sighting).collect();
+        let fit = fit(&gps, &control, up)?;
+        let similarity = fit.similarity;
+        let residual = |point: &SeenPoint| residual(point, &similarity);
+        let agreeing = seen.control.iter().zip(&fit.control).filter(|(_, its)| its.agrees);
         let georeference = Georeference {
-            gps: residuals,
-            uncertainty: Some(uncertainty),
-            control: points.control.iter().map(residual).collect(),
-            check: points.check.iter().map(residual).collect(),
+            gps: fit.residuals,
+            uncertainty: Some(fit.uncertainty),
+            control: agreeing.map(|(point, _)| residual(point)).collect(),
+            check: seen.check.iter().map(residual).collect(),
             ..Georeference::at(self.site.origin())?
         };
-        let mut left_out = points.left_out;
-        for ((posed, _), (place, _)) in
-            with_gps.iter().zip(gps.iter().zip(&agrees)).filter(|(_, (_, agrees))| !**agrees)
-        {
-            let off_m = (similarity.apply(place.model) - place.enu_m).length();
-            let reason = format!(
-                "is {off_m:.0} m from where the photographs show it was taken; only its pixels count"
-            );
-            left_out.push((format!("GPS of {}", posed.name), reason));
-        }
-        let agreeing =
-            if gps.is_empty() { control.len() } else { agrees.iter().filter(|agrees| **agrees).count() };
-        Ok(Placed { similarity, georeference: Some(georeference), left_out, agreeing })
+        let mut left_out = seen.left_out;
+        let wrong = seen.control.iter().zip(&fit.control).filter(|(_, its)| !its.agrees);
+        left_out.extend(wrong.map(|(point, _)| wrong_control(&residual(point))));
+        let wrong = photographs.iter().zip(&gps).zip(&fit.gps).filter(|(_, its)| !its.agrees);
+        left_out
+            .extend(wrong.map(|((i, place), _)| wrong_gps(&its.posed[*i].name, off_m(place, &similarity))));
+        let judged = if gps.is_empty() { &fit.control } else { &fit.gps };
+        let agreeing = judged.iter().filter(|its| its.agrees).count();
+        let centers = photographs.into_iter().zip(&gps).zip(&fit.gps);
+        let centers = centers
+            .map(|((photograph, gps), its)| KnownCenter { photograph, at_m: gps.enu_m, weight: its.weight })
+            .collect();
+        let points = seen.control.into_iter().zip(&fit.control);
+        let points = points.map(|(point, its)| known_point(point, its.weight, &similarity)).collect();
+        Ok(Placed { similarity, georeference: Some(georeference), left_out, agreeing, centers, points })
+    }
+
+    /// GPS of the photographs with poses, with their indices.
+    fn sightings(&self, its: &Reconstruction) -> impl Iterator<Item = (usize, Sighting)> {
+        let with_gps = its.posed.iter().enumerate();
+        with_gps.filter_map(|(i, posed)| Some((i, self.sighting(posed, self.gps.get(&posed.name)?))))
     }
 
     fn sighting(&self, posed: &Posed, gps: &Gps) -> Sighting {
@@ -101,18 +109,63 @@ impl Places {
     }
 }
 
-/// Which direction of a reconstruction is up.
-pub(super) fn up_of<'a>(poses: impl Iterator<Item = &'a Pose> + Clone, points: &[DVec3]) -> Option<Up> {
-    let forward: Vec<DVec3> = poses.clone().map(Pose::forward).collect();
-    let right: Vec<DVec3> = poses.map(|pose| pose.rotation.inverse() * DVec3::X).collect();
-    Up::of(&forward, &right, points)
+/// How far a place is from where it should be.
+fn off_m(place: &Sighting, similarity: &Similarity) -> DVec3 {
+    similarity.apply(place.model) - place.enu_m
+}
+
+fn residual(point: &SeenPoint, similarity: &Similarity) -> PointResidual {
+    PointResidual {
+        name: point.name.clone(),
+        photographs: point.marks.len(),
+        residual_m: off_m(&point.sighting, similarity).to_array(),
+    }
+}
+
+fn known_point(point: SeenPoint, weight: DVec3, similarity: &Similarity) -> KnownPoint {
+    let Sighting { model, enu_m, .. } = point.sighting;
+    KnownPoint { seen_m: similarity.apply(model), at_m: enu_m, weight, marks: point.marks }
+}
+
+/// Name and reason of a control point that does not count.
+fn wrong_control(its: &PointResidual) -> (String, String) {
+    let off_m = DVec3::from(its.residual_m).length();
+    let reason = format!(
+        "is {off_m:.1} m from where the photographs and the other points say; it does not count, so check its place and its marks"
+    );
+    (format!("control point {}", its.name), reason)
+}
+
+/// Name and reason of GPS that does not count.
+fn wrong_gps(photograph: &str, off_m: DVec3) -> (String, String) {
+    let reason = format!(
+        "is {:.0} m from where the photographs show it was taken; only its pixels count",
+        off_m.length()
+    );
+    (format!("GPS of {photograph}"), reason)
+}
+
+/// Which direction of a reconstruction is up. `None` without photographs.
+pub(super) fn up_of(its: &Reconstruction) -> Option<Up> {
+    let poses = || its.posed.iter().map(|posed| &posed.cam_from_world);
+    let forward: Vec<DVec3> = poses().map(Pose::forward).collect();
+    let right: Vec<DVec3> = poses().map(|pose| pose.rotation.inverse() * DVec3::X).collect();
+    let points: Vec<DVec3> = its.points.iter().map(|point| point.position).collect();
+    Up::of(&forward, &right, &points)
 }
 
 /// Only turns up to z: scale and place are unknown.
 pub(super) fn upright(up: &Up) -> Placed {
     let rotation = DQuat::from_rotation_arc(up.direction, DVec3::Z);
     let similarity = Similarity { scale: 1.0, rotation, translation: DVec3::ZERO };
-    Placed { similarity, georeference: None, left_out: Vec::new(), agreeing: 0 }
+    Placed {
+        similarity,
+        georeference: None,
+        left_out: Vec::new(),
+        agreeing: 0,
+        centers: Vec::new(),
+        points: Vec::new(),
+    }
 }
 
 fn geodetic(gps: &Gps) -> Geodetic {

@@ -85,7 +85,8 @@ impl<'a> Recipe<'a> {
             path.push(end);
             path.into()
         });
-        Ok(Stage { kind: IngestStage::Features, commands, removed: removed.to_vec(), folders: Vec::new() })
+        let removed = removed.to_vec();
+        Ok(Stage { kind: IngestStage::Features, commands, inputs: Vec::new(), removed, folders: Vec::new() })
     }
 
     /// Matches neighbours, or all if nothing tells the neighbours.
@@ -114,7 +115,8 @@ impl<'a> Recipe<'a> {
             self.colmap.command("sequential_matcher", &[self.database(), gpu])?
         };
         let commands = vec![(command, usable.len())];
-        Ok(Stage { kind: IngestStage::Matches, commands, removed: Vec::new(), folders: Vec::new() })
+        let none = Vec::new;
+        Ok(Stage { kind: IngestStage::Matches, commands, inputs: none(), removed: none(), folders: none() })
     }
 
     /// Finds poses.
@@ -127,11 +129,12 @@ impl<'a> Recipe<'a> {
         ];
         let commands = vec![(self.colmap.command("mapper", &options)?, self.photographs.usable.len())];
         let folder = vec![self.work.join("sparse")];
-        Ok(Stage { kind: IngestStage::Poses, commands, removed: folder.clone(), folders: folder })
+        let inputs = Vec::new();
+        Ok(Stage { kind: IngestStage::Poses, commands, inputs, removed: folder.clone(), folders: folder })
     }
 
-    /// The reconstructions that were found, with their folders: at least one. What COLMAP prints goes to `log`.
-    pub(super) fn reconstructions(&self, log: &Path) -> Result<Vec<(PathBuf, Reconstruction)>, IngestError> {
+    /// The reconstructions that were found, at least one. What COLMAP prints goes to `log`.
+    pub(super) fn reconstructions(&self, log: &Path) -> Result<Vec<Reconstruction>, IngestError> {
         let sparse = self.work.join("sparse");
         let failed = |cause| SceneError::io(&sparse, cause);
         let mut folders = Vec::new();
@@ -154,9 +157,7 @@ impl<'a> Recipe<'a> {
             self.colmap.run(&self.colmap.command("model_converter", &options)?, log, &mut |_| {})?;
             Reconstruction::read(&text)
         };
-        let found: Result<Vec<_>, IngestError> =
-            folders.into_iter().map(|folder| read(&folder).map(|its| (folder, its))).collect();
-        let found = found?;
+        let found: Vec<Reconstruction> = folders.iter().map(read).collect::<Result<_, IngestError>>()?;
         if found.is_empty() {
             let photographs = self.photographs.usable.len();
             return Err(IngestError::NoPoses { posed: 0, photographs, log: log.to_owned() });
@@ -165,21 +166,29 @@ impl<'a> Recipe<'a> {
     }
 
     /// Removes the distortion from the photographs of a reconstruction, and shrinks them.
-    pub(super) fn undistorting(&self, reconstruction: &Path, posed: usize) -> Result<Stage, IngestError> {
-        let folder = self.undistorted();
+    pub(super) fn undistorting(&self, its: &Reconstruction) -> Result<Stage, IngestError> {
+        let (adjusted, folder) = (self.work.join("adjusted"), self.undistorted());
+        its.write(&adjusted)?;
         let options = [
             self.images(),
-            (&["input_path"][..], reconstruction.into()),
+            (&["input_path"][..], (&adjusted).into()),
             (&["output_path"], (&folder).into()),
             (&["output_type"], "COLMAP".into()),
             (&["max_image_size"], self.max_size_px.to_string().into()),
         ];
-        let commands = vec![(self.colmap.command("image_undistorter", &options)?, posed)];
+        let commands = vec![(self.colmap.command("image_undistorter", &options)?, its.posed.len())];
+        let inputs = vec![adjusted.join("cameras.bin"), adjusted.join("images.bin")];
         let folder = vec![folder];
-        Ok(Stage { kind: IngestStage::Undistorting, commands, removed: folder.clone(), folders: folder })
+        Ok(Stage {
+            kind: IngestStage::Undistorting,
+            commands,
+            inputs,
+            removed: folder.clone(),
+            folders: folder,
+        })
     }
 
-    /// The folder of the undistorted dataset, in COLMAP's frame.
+    /// The folder of the undistorted dataset.
     pub(super) fn undistorted(&self) -> PathBuf {
         self.work.join("undistorted")
     }

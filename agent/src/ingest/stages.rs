@@ -2,7 +2,7 @@
 //! its options stay the same. A stage that was killed begins again.
 
 use std::ffi::OsString;
-use std::fs;
+use std::fs::{self, File};
 use std::io;
 use std::path::{Path, PathBuf};
 use std::time::Instant;
@@ -22,6 +22,8 @@ pub(super) struct Stage {
     pub(super) kind: IngestStage,
     /// The commands, each with the number of photographs that it works on.
     pub(super) commands: Vec<(Vec<OsString>, usize)>,
+    /// Files that they read and that no earlier stage has made: what these hold decides whether the stage is done again.
+    pub(super) inputs: Vec<PathBuf>,
     /// Files and folders that a killed or an earlier run may have left, which go before the stage begins.
     pub(super) removed: Vec<PathBuf>,
     /// Folders that the commands write to.
@@ -53,9 +55,14 @@ impl<'a> Stages<'a> {
         self.folder.join(format!("{}.log", name(kind)))
     }
 
+    /// Tells what happens between stages.
+    pub(super) fn tell(&mut self, event: AgentEvent) {
+        (self.tell)(event);
+    }
+
     /// Does a stage, unless an earlier run has finished it with the same input and the same options.
     pub(super) fn run(&mut self, stage: &Stage) -> Result<(), IngestError> {
-        self.key = key_of(&self.key, stage);
+        self.key = key_of(&self.key, stage)?;
         let of = stage.commands.iter().map(|(_, photographs)| photographs).sum();
         let stamp_of = |kind| self.folder.join(format!("{}.stamp", name(kind)));
         let stamp = stamp_of(stage.kind);
@@ -116,18 +123,23 @@ fn name(kind: IngestStage) -> &'static str {
         IngestStage::Features => "features",
         IngestStage::Matches => "matches",
         IngestStage::Poses => "poses",
+        IngestStage::Adjusting => "adjusting",
         IngestStage::Undistorting => "undistorting",
     }
 }
 
-fn key_of(before: &blake3::Hash, stage: &Stage) -> blake3::Hash {
+fn key_of(before: &blake3::Hash, stage: &Stage) -> Result<blake3::Hash, IngestError> {
     let mut hasher = blake3::Hasher::new();
     hasher.update(before.as_bytes());
     for word in stage.commands.iter().flat_map(|(command, _)| command) {
         hasher.update(&(word.len() as u64).to_le_bytes());
         hasher.update(word.as_encoded_bytes());
     }
-    hasher.finalize()
+    for path in &stage.inputs {
+        let read = File::open(path).and_then(|file| hasher.update_reader(file).map(|_| ()));
+        read.map_err(|cause| SceneError::io(path, cause))?;
+    }
+    Ok(hasher.finalize())
 }
 
 /// Removes a file or a folder with all that it holds, if it is there.

@@ -4,8 +4,9 @@
 
 use std::os::unix::fs::PermissionsExt;
 
+use cosurf_geo::SiteFrame;
 use cosurf_scene::{Camera, Picture, Pose, SparsePoint, View, colmap};
-use glam::{DQuat, DVec2};
+use glam::{DQuat, DVec2, DVec3};
 use tempfile::TempDir;
 
 use super::*;
@@ -14,7 +15,7 @@ use super::*;
 const SCALE: f64 = 10.0;
 const ORIGIN: Geodetic = Geodetic { latitude_deg: 53.0, longitude_deg: 16.0, height_m: 60.0 };
 
-/// Stands in for COLMAP: notes its commands in `calls`, fails at the command that `fails` names.
+/// Stands in for COLMAP, with a lens that needs no undistortion: notes its commands in `calls`, fails at the command that `fails` names.
 const SCRIPT: &str = r#"#!/bin/sh
 here=$(dirname "$0")
 case "$1 $2" in
@@ -27,6 +28,7 @@ if [ "$command" = "$(cat "$here/fails")" ]; then echo "ERROR: no luck"; echo "El
 while [ $# -gt 0 ]; do
   case "$1" in
   --output_path) out=$2;;
+  --input_path) in=$2;;
   esac
   shift
 done
@@ -34,7 +36,7 @@ case "$command" in
 feature_extractor) echo "Processed file [4/4]";;
 mapper) mkdir "$out/0"; cp "$here/undistorted/sparse/"* "$out/0";;
 model_converter) cp "$here/text/"* "$out";;
-image_undistorter) cp -r "$here/undistorted/." "$out";;
+image_undistorter) cp -r "$here/undistorted/." "$out"; cp "$in/images.bin" "$in/points3D.bin" "$out/sparse";;
 esac
 "#;
 
@@ -54,7 +56,7 @@ impl Flight {
         fs::write(flight.at("colmap"), SCRIPT).unwrap();
         fs::set_permissions(flight.at("colmap"), fs::Permissions::from_mode(0o755)).unwrap();
         let picture = Picture::new([64, 48], (0..64 * 48 * 3).map(|i| (i % 199) as u8).collect());
-        let site = cosurf_geo::SiteFrame::new(ORIGIN).unwrap();
+        let site = SiteFrame::new(ORIGIN).unwrap();
         let (mut views, mut images, mut geo) = (Vec::new(), String::new(), "EPSG:4326\n".to_owned());
         for (i, enu) in Self::places().into_iter().enumerate() {
             let name = format!("a{i}.JPG");
@@ -62,7 +64,9 @@ impl Flight {
             picture.write_jpeg(&flight.at("undistorted/images").join(&name), 90).unwrap();
             let camera = Self::camera(enu, i);
             let Pose { rotation: q, translation: t } = camera.cam_from_world;
-            images += &format!("{i} {} {} {} {} {} {} {} 1 {name}\n\n", q.w, q.x, q.y, q.z, t.x, t.y, t.z);
+            images += &format!("{i} {} {} {} {} {} {} {} 1 {name}\n", q.w, q.x, q.y, q.z, t.x, t.y, t.z);
+            let seen = camera.project(model_from_enu(DVec3::ZERO)).unwrap();
+            images += &format!("{} {} 7\n", seen.x, seen.y);
             views.push(View {
                 name: name.clone(),
                 camera,
@@ -72,6 +76,8 @@ impl Flight {
             geo += &format!("{name} {} {} {}\n", place.longitude_deg, place.latitude_deg, place.height_m);
         }
         fs::write(flight.at("text/images.txt"), images).unwrap();
+        let DVec3 { x, y, z } = model_from_enu(DVec3::ZERO);
+        fs::write(flight.at("text/points3D.txt"), format!("7 {x} {y} {z} 9 9 9 0 0 0 1 0\n")).unwrap();
         fs::write(flight.at("text/cameras.txt"), "1 OPENCV 64 48 50 50 32 24 0 0 0 0\n").unwrap();
         fs::write(flight.at("photos/geo.txt"), geo).unwrap();
         let point = SparsePoint { position: model_from_enu(DVec3::ZERO), rgb: [9; 3], views: vec![0, 1] };

@@ -297,6 +297,8 @@ pub enum IngestStage {
     Matches,
     /// Finds where each photograph was taken.
     Poses,
+    /// Adjusts poses and lenses to GPS and control points.
+    Adjusting,
     /// Removes the distortion of the lens.
     Undistorting,
 }

@@ -8,27 +8,43 @@ const ROUNDS: usize = 20;
 const ERROR_MAX: f64 = 1e-9;
 
 /// A lens, as COLMAP's `src/colmap/sensor/models.h` and OpenCV define it.
+#[derive(Clone, Copy, Debug, PartialEq)]
 pub(super) struct Lens {
+    pub(super) size_px: [u32; 2],
     pub(super) focal_px: DVec2,
-    center_px: DVec2,
+    pub(super) center_px: DVec2,
     /// k1, k2, p1, p2.
-    distortion: [f64; 4],
+    pub(super) distortion: [f64; 4],
 }
 
 impl Lens {
     /// A line of `cameras.txt`: `id OPENCV width height fx fy cx cy k1 k2 p1 p2`. Returns the id, too.
     pub(super) fn parse(line: &str) -> Option<(u32, Self)> {
         let words: Vec<&str> = line.split_whitespace().collect();
-        let [id, "OPENCV", _, _, numbers @ ..] = &words[..] else { return None };
-        let numbers: Option<Vec<f64>> =
-            numbers.iter().map(|word| word.parse().ok().filter(|number: &f64| number.is_finite())).collect();
-        let [fx, fy, cx, cy, k1, k2, p1, p2]: [f64; 8] = numbers?.try_into().ok()?;
-        let its = Self {
+        let [id, "OPENCV", width, height, numbers @ ..] = &words[..] else { return None };
+        let size_px = [width.parse().ok()?, height.parse().ok()?];
+        let numbers: Option<Vec<f64>> = numbers.iter().map(|word| word.parse().ok()).collect();
+        let lens = Self::of_parameters(size_px, numbers?.try_into().ok()?)?;
+        Some((id.parse().ok()?, lens))
+    }
+
+    /// fx, fy, cx, cy, k1, k2, p1, p2: the order of COLMAP's files.
+    pub(super) fn parameters(&self) -> [f64; 8] {
+        let ([fx, fy], [cx, cy], [k1, k2, p1, p2]) =
+            (self.focal_px.to_array(), self.center_px.to_array(), self.distortion);
+        [fx, fy, cx, cy, k1, k2, p1, p2]
+    }
+
+    /// The lens with these [`Self::parameters`]; `None` if they are none of a lens.
+    pub(super) fn of_parameters(size_px: [u32; 2], parameters: [f64; 8]) -> Option<Self> {
+        let [fx, fy, cx, cy, distortion @ ..] = parameters;
+        let is_lens = fx > 0.0 && fy > 0.0 && parameters.iter().all(|number| number.is_finite());
+        is_lens.then_some(Self {
+            size_px,
             focal_px: DVec2::new(fx, fy),
             center_px: DVec2::new(cx, cy),
-            distortion: [k1, k2, p1, p2],
-        };
-        (fx > 0.0 && fy > 0.0).then_some((id.parse().ok()?, its))
+            distortion,
+        })
     }
 
     /// The undistorted direction of a pixel, on the plane at distance 1; `None` if no direction leads there.
@@ -46,7 +62,7 @@ impl Lens {
     }
 
     /// The distorted position of a direction, and its derivative.
-    fn distort(&self, ray: DVec2) -> (DVec2, DMat2) {
+    pub(super) fn distort(&self, ray: DVec2) -> (DVec2, DMat2) {
         let [k1, k2, p1, p2] = self.distortion;
         let DVec2 { x, y } = ray;
         let r2 = ray.length_squared();
