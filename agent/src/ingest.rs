@@ -4,7 +4,8 @@
 //! tell where that frame lies ([`placing`]), and straighten it ([`adjustment`]); then the dataset is written in ENU of the
 //! site ([`publishing`]).
 //!
-//! The folder `.ingest` of the dataset keeps COLMAP's work, so that a run that was stopped goes on where it was.
+//! The folder `.ingest` of the dataset keeps COLMAP's work, so that a run that was stopped goes on where it was. A finished
+//! dataset has `ingest.json`, too: by it, the folder is ours even without `.ingest`.
 //!
 //! What it knows nothing about: splats and training. Where to start reading: [`ingest`].
 
@@ -107,13 +108,14 @@ pub fn ingest(plan: &IngestPlan, tell: &mut dyn FnMut(AgentEvent)) -> Result<Ing
     publishing::publish(&plan.out, &work, &dataset, georeference.as_ref())?;
     let (posed, points) = (dataset.views.len(), dataset.points.len());
     let report = IngestReport { photographs: all, posed, points, georeferenced: georeference.is_some() };
+    publishing::finish(&plan.out, &photographs.folder, &report)?;
     tell(AgentEvent::Ingested { report: report.clone() });
     Ok(Ingested { report, georeference })
 }
 
 /// An existing dataset of somebody else must not be replaced, nor the photographs by their undistorted pictures.
 fn refuse_occupied(out: &Path, work: &Path) -> Result<(), IngestError> {
-    let is_ours = work.is_dir();
+    let is_ours = work.is_dir() || publishing::is_finished(out);
     let is_empty = match fs::read_dir(out) {
         Ok(mut entries) => entries.next().is_none(),
         Err(cause) if cause.kind() == std::io::ErrorKind::NotFound => true,

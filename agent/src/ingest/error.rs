@@ -19,7 +19,7 @@ pub enum IngestError {
         found: usize,
     },
     /// The folder to write to holds what is not ours.
-    #[error("{}: is not empty, and has no folder .ingest of an earlier run; name another folder with --out", folder.display())]
+    #[error("{}: is not empty, and has neither .ingest nor ingest.json of an earlier run; name another folder with --out", folder.display())]
     Occupied {
         /// The folder.
         folder: PathBuf,

@@ -4,11 +4,16 @@ use std::fs;
 use std::io;
 use std::path::Path;
 
+use cosurf_contract::IngestReport;
 use cosurf_geo::Georeference;
 use cosurf_scene::{Dataset, SceneError, atomic, colmap};
+use serde::Serialize;
 
 use super::error::IngestError;
 use super::stages::remove;
+
+/// Tells what a finished dataset was made of.
+const FINISHED: &str = "ingest.json";
 
 /// Writes `sparse/0`, `images` and, if the place is known, `geo.json` into the folder `out`. `work` is a folder on the same
 /// disk for what is not complete.
@@ -26,6 +31,27 @@ pub(super) fn publish(
         atomic::write_bytes(&geo, georeference.to_json().as_bytes())?;
     }
     Ok(())
+}
+
+/// What a dataset was made of: the content of `ingest.json`.
+#[derive(Serialize)]
+struct Origin<'a> {
+    photographs_folder: &'a Path,
+    report: &'a IngestReport,
+}
+
+/// Notes what a published dataset was made of, so that a later run knows it for one of ours.
+pub(super) fn finish(out: &Path, photographs: &Path, report: &IngestReport) -> Result<(), IngestError> {
+    let origin = Origin { photographs_folder: photographs, report };
+    let path = out.join(FINISHED);
+    let json = serde_json::to_vec_pretty(&origin);
+    let json = json.map_err(|error| SceneError::io(&path, error.into()))?;
+    Ok(atomic::write_bytes(&path, &json)?)
+}
+
+/// Whether a folder has a dataset that was made of photographs.
+pub(super) fn is_finished(out: &Path) -> bool {
+    out.join(FINISHED).is_file()
 }
 
 /// Replaces the folder of pictures in one step.

@@ -198,6 +198,23 @@ fn finished_stages_are_not_done_again_unless_their_input_changes() {
 }
 
 #[test]
+fn a_finished_dataset_without_its_work_is_made_again() {
+    let flight = Flight::new();
+    flight.run(&flight.plan()).0.unwrap();
+    let told = fs::read_to_string(flight.at("data/ingest.json")).unwrap();
+    assert!(told.contains("photos") && told.contains("\"posed\": 4"), "{told}");
+    fs::remove_dir_all(flight.at("data/.ingest")).unwrap();
+    // Nothing is lost if that fails.
+    let missing = IngestPlan { colmap: flight.at("nowhere"), ..flight.plan() };
+    flight.run(&missing).0.unwrap_err();
+    assert_eq!(Dataset::open(&flight.at("data")).unwrap().views.len(), 4);
+    fs::remove_dir_all(flight.at("data/.ingest")).unwrap();
+    let (done, calls, _) = flight.run(&flight.plan());
+    done.unwrap();
+    assert_eq!(calls, ALL);
+}
+
+#[test]
 fn folders_of_others_and_missing_programs_are_refused() {
     let flight = Flight::new();
     let missing = IngestPlan { colmap: flight.at("nowhere"), ..flight.plan() };
