@@ -91,8 +91,8 @@ pub fn ingest(plan: &IngestPlan, tell: &mut dyn FnMut(AgentEvent)) -> Result<Ing
     let mut stages = Stages::new(&colmap, &work, recipe.key(), tell);
     stages.run(&recipe.features()?)?;
     stages.run(&recipe.matches()?)?;
-    stages.run(&recipe.poses()?)?;
     let log = stages.log(IngestStage::Poses);
+    stages.run(&recipe.poses()?).map_err(|error| error.or_no_poses(count, &log))?;
     let mut others = recipe.reconstructions(&log)?;
     let mut its = others.swap_remove(best_of(&others, places.as_ref()));
     if its.posed.len() < POSED_MIN {

@@ -1,10 +1,13 @@
 //! Why no dataset can be made of photographs.
 
 use std::io;
-use std::path::PathBuf;
+use std::path::{Path, PathBuf};
 
 use cosurf_geo::GeoError;
 use cosurf_scene::SceneError;
+
+/// What COLMAP's mapper says if it finds no poses.
+const NO_MODEL: &str = "failed to create sparse model";
 
 /// Why no dataset can be made. Each is one line, with the remedy.
 #[derive(Debug, thiserror::Error)]
@@ -53,7 +56,7 @@ pub enum IngestError {
     },
     /// COLMAP found no poses.
     #[error(
-        "COLMAP found the places of {posed} of {photographs} photographs, fewer than 3; they overlap too little, are blurred or show different things; {} has its output",
+        "COLMAP found the places of {posed} of {photographs} photographs, fewer than 3; they overlap too little, are blurred, show different things or were taken from one place; {} has its output",
         log.display()
     )]
     NoPoses {
@@ -70,4 +73,16 @@ pub enum IngestError {
     /// A place or a list of places cannot be used.
     #[error(transparent)]
     Geo(#[from] GeoError),
+}
+
+impl IngestError {
+    /// The same error; or, if COLMAP fails because it found no poses, the one that says what this means for the photographs.
+    pub(super) fn or_no_poses(self, photographs: usize, log: &Path) -> Self {
+        match self {
+            Self::Failed { reason, .. } if reason.contains(NO_MODEL) => {
+                Self::NoPoses { posed: 0, photographs, log: log.to_owned() }
+            }
+            other => other,
+        }
+    }
 }

@@ -15,7 +15,7 @@ use super::*;
 const SCALE: f64 = 10.0;
 const ORIGIN: Geodetic = Geodetic { latitude_deg: 53.0, longitude_deg: 16.0, height_m: 60.0 };
 
-/// Stands in for COLMAP, with a lens that needs no undistortion: notes its commands in `calls`, fails at the command that `fails` names.
+/// Stands in for COLMAP, with a lens that needs no undistortion: notes its commands in `calls`, fails at the command that `fails` names with the reason in `luck`.
 const SCRIPT: &str = r#"#!/bin/sh
 here=$(dirname "$0")
 case "$1 $2" in
@@ -24,7 +24,7 @@ case "$1 $2" in
 esac
 command=$1; shift
 echo "$command" >> "$here/calls"
-if [ "$command" = "$(cat "$here/fails")" ]; then echo "ERROR: no luck"; echo "Elapsed time: 0"; exit 1; fi
+if [ "$command" = "$(cat "$here/fails")" ]; then echo "ERROR: $(cat "$here/luck")"; echo "Elapsed time: 0"; exit 1; fi
 while [ $# -gt 0 ]; do
   case "$1" in
   --output_path) out=$2;;
@@ -53,6 +53,7 @@ impl Flight {
             fs::create_dir_all(flight.at(folder)).unwrap();
         }
         fs::write(flight.at("fails"), "").unwrap();
+        fs::write(flight.at("luck"), "no luck").unwrap();
         fs::write(flight.at("colmap"), SCRIPT).unwrap();
         fs::set_permissions(flight.at("colmap"), fs::Permissions::from_mode(0o755)).unwrap();
         let picture = Picture::new([64, 48], (0..64 * 48 * 3).map(|i| (i % 199) as u8).collect());
@@ -195,6 +196,15 @@ fn finished_stages_are_not_done_again_unless_their_input_changes() {
     assert_eq!(calls, ALL);
     let is_told = |event: &AgentEvent| matches!(event, AgentEvent::LeftOut { name, .. } if name == "b.JPG");
     assert!(events.iter().any(is_told), "{events:?}");
+}
+
+#[test]
+fn photographs_without_poses_are_told_in_our_words() {
+    let flight = Flight::new();
+    fs::write(flight.at("fails"), "mapper\n").unwrap();
+    fs::write(flight.at("luck"), "failed to create sparse model").unwrap();
+    let error = flight.run(&flight.plan()).0.unwrap_err().to_string();
+    assert!(error.starts_with("COLMAP found the places of 0 of 4 photographs"), "{error}");
 }
 
 #[test]
