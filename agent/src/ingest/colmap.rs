@@ -95,7 +95,13 @@ impl Colmap {
         if status.success() {
             return Ok(());
         }
-        let reason = complaint.text().unwrap_or_else(|| status.to_string());
+        // A program that is killed has no last words; those that it printed before are of its work.
+        let reason = match status.code() {
+            None => format!(
+                "it was killed ({status}), most often because memory ran out; run the same command again"
+            ),
+            Some(_) => complaint.text().unwrap_or_else(|| status.to_string()),
+        };
         let command = command[0].to_string_lossy().into_owned();
         Err(IngestError::Failed { command, reason, log: log.to_owned() })
     }

@@ -208,6 +208,20 @@ fn photographs_without_poses_are_told_in_our_words() {
 }
 
 #[test]
+fn a_killed_program_is_told_and_the_same_command_goes_on() {
+    let flight = Flight::new();
+    let script = SCRIPT.replace("exit 1; fi", "kill -9 $$; fi");
+    fs::write(flight.at("colmap"), script).unwrap();
+    fs::write(flight.at("fails"), "mapper\n").unwrap();
+    let error = flight.run(&flight.plan()).0.unwrap_err().to_string();
+    assert!(error.contains("mapper failed: it was killed") && !error.contains('\n'), "{error}");
+    fs::write(flight.at("fails"), "").unwrap();
+    let (done, calls, _) = flight.run(&flight.plan());
+    done.unwrap();
+    assert_eq!(calls, ALL[2..]);
+}
+
+#[test]
 fn a_finished_dataset_without_its_work_is_made_again() {
     let flight = Flight::new();
     flight.run(&flight.plan()).0.unwrap();
