@@ -2,11 +2,15 @@
 
 #![allow(clippy::unwrap_used)]
 
+use cosurf_geo::{ControlPoint, Geodetic, SiteFrame};
 use cosurf_scene::Pose;
 use glam::DQuat;
 
 use super::super::lens::Lens;
+use super::super::photographs::Photographs;
+use super::super::placing::Places;
 use super::super::reconstruction::{Posed, TieMark, TiePoint};
+use super::super::settling::settle;
 use super::*;
 
 /// What no photograph knows: the true lens.
@@ -137,6 +141,34 @@ fn a_control_point_without_weight_bends_nothing() {
     points[0].weight = DVec3::splat(1e-3);
     let mut its = bent();
     adjust(&mut its, &[], &points).unwrap();
+    assert!(height_rms_m(&its, false) < 1.5 * PIXEL_M, "{}", height_rms_m(&its, false));
+}
+
+#[test]
+fn a_control_point_two_metres_off_is_told_and_bends_nothing() {
+    let origin = Geodetic { latitude_deg: 53.0, longitude_deg: 16.0, height_m: 60.0 };
+    let site = SiteFrame::new(origin).unwrap();
+    let point = |(i, its): (usize, KnownPoint)| ControlPoint {
+        name: i.to_string(),
+        place: site.geodetic_from_enu(its.at_m + DVec3::X * if i == 2 { 2.0 } else { 0.0 }),
+        marks: its
+            .marks
+            .into_iter()
+            .map(|(photograph, at_px)| cosurf_geo::Mark { photograph: format!("{photograph:02}.jpg"), at_px })
+            .collect(),
+    };
+    let photographs = Photographs {
+        folder: "photographs".into(),
+        usable: Vec::new(),
+        left_out: Vec::new(),
+        control: control(1.0).into_iter().enumerate().map(point).collect(),
+    };
+    let places = Places::of(&photographs, Some(origin)).unwrap();
+    let mut its = bent();
+    let placed = settle(&mut its, places.as_ref(), &mut |_| ()).unwrap();
+    let told: Vec<&str> = placed.left_out.iter().map(|(name, _)| &**name).collect();
+    assert_eq!(told, ["control point 2"], "{:?}", placed.left_out);
+    assert!(placed.left_out[0].1.starts_with("is 2.0 m"), "{:?}", placed.left_out);
     assert!(height_rms_m(&its, false) < 1.5 * PIXEL_M, "{}", height_rms_m(&its, false));
 }
 
