@@ -33,7 +33,7 @@ use cosurf_wire::{ModelHeader, SiteId};
 use crate::broker::{Broker, Reach, local_address};
 use crate::evaluate::{Judge, Quality, Yardsticks};
 use crate::georeference::{common_georeference, write_georeference};
-use crate::outputs::{Relief, relief};
+use crate::outputs::{Relief, client, relief};
 use crate::report::{Drawings, EdgeSummary, MissionReport, Showcase, page, showcases};
 use crate::service::{Merging, global_ply, write_joined};
 use crate::terminal::Meter;
@@ -89,7 +89,9 @@ pub fn fly(order: &MissionOrder, around: &Surroundings) -> Result<MissionReport,
     report.edges =
         plan.edges.iter().zip(&edges).map(|(edge, status)| summary(order, &plan, edge, status)).collect();
     report.whole.aggregator_peak_memory_bytes = (around.peak_memory_bytes)();
-    write_report(&order.out, &report, &plan, &evaluation)?;
+    let client = client(&order.out, order.settings.merge.memory_bytes, around.cores);
+    let (cells, views, showcases) = (&plan.cells, &plan.views, &evaluation.showcases);
+    write_report(&order.out, &report, &Drawings { client: &client, cells, views, showcases })?;
     Ok(report)
 }
 
@@ -273,14 +275,8 @@ fn judge_joined(
     Ok(Quality::mean(&judge.qualities(&scene.held_out(plan))?))
 }
 
-fn write_report(
-    out: &Path,
-    report: &MissionReport,
-    plan: &Plan,
-    evaluation: &Evaluation,
-) -> Result<(), MissionError> {
-    let drawings = Drawings { cells: &plan.cells, views: &plan.views, showcases: &evaluation.showcases };
+fn write_report(out: &Path, report: &MissionReport, drawings: &Drawings) -> Result<(), MissionError> {
     atomic::write_bytes(&out.join("report.json"), &serde_json::to_vec_pretty(report)?)?;
-    atomic::write_bytes(&out.join("report.html"), page(report, &drawings).as_bytes())?;
+    atomic::write_bytes(&out.join("report.html"), page(report, drawings).as_bytes())?;
     Ok(())
 }

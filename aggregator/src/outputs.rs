@@ -5,6 +5,7 @@
 //!
 //! Where to start reading: [`report`].
 
+mod client;
 mod relief;
 
 use std::ops::ControlFlow;
@@ -16,6 +17,7 @@ use crate::mesh::MeshError;
 use crate::report::{MeshSummary, SitePicture, SiteReport, site_page};
 use crate::service::{Merging, ReportError, ReportTask, Reported, file_hash, global_ply, remove};
 use crate::views::open_within;
+pub(crate) use client::client;
 pub(crate) use relief::{Relief, relief};
 
 /// Number of cameras whose views the report shows.
@@ -47,7 +49,8 @@ pub fn report(task: &ReportTask) -> Result<Reported, ReportError> {
     let report =
         SiteReport { site, cameras, mesh: summary, mesh_blake3, mesh_failure, pictures_failure, merging };
     let at = |name| task.folder.join(name);
-    atomic::write_bytes(&at("report.html"), site_page(&report, &pictures).as_bytes())?;
+    let client = client(&task.folder, task.memory_bytes, task.threads);
+    atomic::write_bytes(&at("report.html"), site_page(&report, &pictures, &client).as_bytes())?;
     atomic::write_bytes(&at("report.json"), &serde_json::to_vec_pretty(&report)?)?;
     Ok(reported(&report, true))
 }

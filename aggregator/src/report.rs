@@ -3,10 +3,14 @@
 //!
 //! What it knows nothing about: how a mission runs. It gets figures, cells and views, and returns text.
 //!
+//! A page begins with the client's part ([`Client`]): the model to walk through, and how exact it is. The engineer's
+//! part follows.
+//!
 //! Where to start reading: [`MissionReport`], the figures; then [`texts`], which writes them as text,
 //! and [`page()`].
 
 mod chart;
+mod client;
 mod embed;
 mod figures;
 mod fits;
@@ -19,6 +23,8 @@ mod site;
 mod svg;
 mod texts;
 
+pub(crate) use client::Client;
+pub(crate) use embed::Captioned;
 pub use figures::{AgentSummary, EdgeSummary, MeshSummary, MissionReport, WholeSummary};
 pub(crate) use page::{Drawings, page};
 pub(crate) use showcase::{Showcase, ShowcaseError, showcases};

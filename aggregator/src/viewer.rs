@@ -2,19 +2,21 @@
 //! part of this program, so a page needs nothing from elsewhere.
 //!
 //! What it knows nothing about: the pages that show it. A page has [`STYLE`] in its head and [`SECTION`] in its body, and
-//! runs [`script()`] at its end. The model is beside it, as `scene.json` and `model.spz`.
+//! runs [`script()`] at its end. The model is either part of the page ([`embedded`]) or beside it, as `scene.json` and
+//! `model.spz`.
 //!
 //! Where to start reading: [`Walkable`], a model for the viewer; then `viewer/view.js`, which lists the parts in the browser.
 
+mod lie;
 mod model;
 
 pub use model::{Room, Walkable, WalkableError};
 
 /// The viewer's part of a page's style sheet.
-pub const STYLE: &str = include_str!("viewer/viewer.css");
+pub(crate) const STYLE: &str = include_str!("viewer/viewer.css");
 
 /// The viewer's part of a page's body.
-pub const SECTION: &str = include_str!("viewer/viewer.html");
+pub(crate) const SECTION: &str = include_str!("viewer/viewer.html");
 
 /// The files of the viewer, in an order in which each one uses only those before it.
 const SCRIPTS: [&str; 8] = [
@@ -29,8 +31,20 @@ const SCRIPTS: [&str; 8] = [
 ];
 
 /// The viewer's script. It starts the viewer of the page, and leaves the promise of it in `globalThis.cosurf`.
-pub fn script() -> String {
+pub(crate) fn script() -> String {
     format!("'use strict';\n(() => {{\n{}}})();\n", SCRIPTS.concat())
+}
+
+/// The end of a page that contains its model: the model, the scene and the script, as elements.
+pub(crate) fn embedded(model: &Walkable, base64: impl Fn(&[u8]) -> String) -> String {
+    // In JSON, a `<` can stand only in texts. Escaped, it cannot end the element.
+    let scene = model.scene_json().replace('<', "\\u003c");
+    format!(
+        "<script type=\"application/json\" id=\"viewer-scene\">{scene}</script>\n\
+         <script type=\"text/plain\" id=\"viewer-model\">{}</script>\n<script>{}</script>\n",
+        base64(model.spz()),
+        script()
+    )
 }
 
 #[cfg(test)]

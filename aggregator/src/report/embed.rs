@@ -18,7 +18,7 @@ pub(crate) struct Captioned {
 }
 
 impl Captioned {
-    pub(super) fn new(caption: impl Into<String>, picture: &Picture) -> Result<Self, ImageError> {
+    pub(crate) fn new(caption: impl Into<String>, picture: &Picture) -> Result<Self, ImageError> {
         Ok(Self { caption: caption.into(), size_px: picture.size_px, uri: data_uri(picture)? })
     }
 }
@@ -36,7 +36,7 @@ fn data_uri(picture: &Picture) -> Result<String, ImageError> {
 }
 
 /// Base64 of RFC 4648 §4, with padding.
-fn base64(bytes: &[u8]) -> String {
+pub(super) fn base64(bytes: &[u8]) -> String {
     let mut text = String::with_capacity(bytes.len().div_ceil(3) * 4);
     for chunk in bytes.chunks(3) {
         let byte = |i: usize| u32::from(chunk.get(i).copied().unwrap_or(0));

@@ -5,14 +5,21 @@ use std::fmt::Write;
 use super::embed::Captioned;
 use super::figures::MeshSummary;
 use super::svg::escape;
+use crate::viewer;
+
+/// What a page may load: nothing that is not in it. The viewer's worker is made of its script, as `blob:`.
+const POLICY: &str = "default-src 'none'; img-src data: blob:; style-src 'unsafe-inline'; \
+                      script-src 'unsafe-inline'; worker-src blob:; base-uri 'none'; form-action 'none'";
 
 /// The beginning of a page with this title, up to its body.
 pub(super) fn open(title: &str) -> String {
     format!(
         "<!doctype html>\n<html lang=\"en\"><head><meta charset=\"utf-8\">\
          <meta name=\"viewport\" content=\"width=device-width, initial-scale=1\">\
-         <title>{title}</title>\n<style>{}</style></head><body>\n",
-        include_str!("page.css")
+         <meta http-equiv=\"Content-Security-Policy\" content=\"{POLICY}\">\
+         <title>{title}</title>\n<style>{}{}</style></head><body>\n",
+        include_str!("page.css"),
+        viewer::STYLE
     )
 }
 

@@ -1,9 +1,10 @@
-//! Writes `report.html`: one self-contained file without scripts, for phone and desktop.
+//! Writes `report.html`: one self-contained file, for phone and desktop. The only script is that of the viewer.
 
 use std::fmt::Write;
 
 use cosurf_scene::bytes::format_bytes;
 
+use super::client::{self, Client};
 use super::figures::MissionReport;
 use super::frame::group_digits;
 use super::rows::{depth_normal_text, depth_text, lpips_text, normal_text, rows};
@@ -18,6 +19,8 @@ use cosurf_contract::counted;
 
 /// What the page draws in addition to the figures of the report.
 pub(crate) struct Drawings<'a> {
+    /// The client's part.
+    pub(crate) client: &'a Client,
     /// The cells of the agents: cell `i` belongs to agent `i` of the report.
     pub(crate) cells: &'a [Cell],
     /// All views, those trained on and those held out.
@@ -29,12 +32,15 @@ pub(crate) struct Drawings<'a> {
 /// Returns the whole page as HTML.
 pub(crate) fn page(report: &MissionReport, drawings: &Drawings) -> String {
     let mut html = frame::open("cosurf mission");
+    let title = report.data.file_name().map_or("mission".into(), |name| name.to_string_lossy());
+    html.push_str(&client::section(drawings.client, &title));
     header(&mut html, report);
     agents(&mut html, report);
     pictures(&mut html, drawings.showcases);
     ground(&mut html, report, drawings);
     html.push_str(&fits::section(report, drawings.cells));
     html.push_str(&frame::footer(report.whole.revision, report.whole.mesh));
+    html.push_str(&client::script(drawings.client));
     html + "</body></html>\n"
 }
 
@@ -42,7 +48,7 @@ fn header(html: &mut String, report: &MissionReport) {
     let whole = &report.whole;
     let _ = write!(
         html,
-        "<h1>cosurf mission</h1>\n<p class=\"soft\">{} over <code>{}</code>, seed {}</p>\n",
+        "<h2>The mission</h2>\n<p class=\"soft\">{} over <code>{}</code>, seed {}</p>\n",
         counted(report.agents.len(), "agent"),
         escape(&report.data.display().to_string()),
         report.seed
@@ -185,7 +191,8 @@ mod tests {
             quality: report.whole.quality.unwrap(),
             pictures: ["truth", "colour", "depth", "normal"].map(picture).into(),
         };
-        page(&report, &Drawings { cells: &cells, views: &[], showcases: &[showcase] })
+        let client = super::super::client::tests::without_model();
+        page(&report, &Drawings { client: &client, cells: &cells, views: &[], showcases: &[showcase] })
     }
 
     #[test]

@@ -9,6 +9,7 @@ use cosurf_scene::{Cast, Picture, colormap};
 use image::ImageError;
 use serde::{Deserialize, Serialize};
 
+use super::client::{self, Client};
 use super::embed::Captioned;
 use super::figures::MeshSummary;
 use super::fits;
@@ -64,13 +65,13 @@ impl SitePicture {
 }
 
 /// Returns the whole page as HTML.
-pub(crate) fn site_page(report: &SiteReport, pictures: &[SitePicture]) -> String {
+pub(crate) fn site_page(report: &SiteReport, pictures: &[SitePicture], client: &Client) -> String {
     let SiteReport { site, cameras, mesh, mesh_blake3: _, mesh_failure, pictures_failure, merging } = report;
     let mut html = frame::open("cosurf site");
+    html.push_str(&client::section(client, site));
     let _ = writeln!(
         html,
-        "<h1>{}</h1>\n<p class=\"soft\">Revision {} of the global model, merged from {}</p>",
-        escape(site),
+        "<h2>The site</h2>\n<p class=\"soft\">Revision {} of the global model, merged from {}</p>",
         merging.revision,
         counted(merging.inputs.len() - merging.kept_out.len(), "model"),
     );
@@ -96,6 +97,7 @@ pub(crate) fn site_page(report: &SiteReport, pictures: &[SitePicture]) -> String
         let _ = write!(html, "<h2>How the models fit each other</h2>\n{}", fits::table(&fits));
     }
     html.push_str(&frame::footer(merging.revision, *mesh));
+    html.push_str(&client::script(client));
     html + "</body></html>\n"
 }
 
@@ -134,7 +136,7 @@ mod tests {
 
     fn page(report: &SiteReport) -> String {
         let picture = Captioned::new("colour", &Picture::new([2, 2], vec![99; 12])).unwrap();
-        site_page(report, &[SitePicture(vec![picture])])
+        site_page(report, &[SitePicture(vec![picture])], &super::super::client::tests::without_model())
     }
 
     #[test]

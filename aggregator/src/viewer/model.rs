@@ -9,14 +9,14 @@ use cosurf_scene::{Camera, Dataset, LocalFrame, SceneError, Splats, evenly_space
 use glam::DMat3;
 use serde::Serialize;
 
+use super::lie::Lie;
+
 /// Number of splats that are read at a time.
 const READ_AT_ONCE: usize = 4096;
 /// Largest number of photographs whose places the viewer offers.
 const CAMERAS_MAX: usize = 500;
 /// Share of the splats that is kept beyond what the last file's size asks for: other splats compress a little worse.
 const CAUTION: f64 = 0.97;
-/// Up direction of a georeferenced world.
-const UP: [f64; 3] = [0.0, 0.0, 1.0];
 
 /// How large a model for the viewer may become.
 #[derive(Clone, Copy, Debug)]
@@ -72,8 +72,8 @@ struct Scene {
     origin: [f64; 3],
     /// Length of the model's unit, world units.
     unit: f64,
-    /// Up direction; absent if only the cameras tell.
-    up: Option<[f64; 3]>,
+    /// Up direction, an axis.
+    up: [f64; 3],
     /// Place of the world's origin on the earth; absent if the model is not georeferenced.
     geo: Option<Geodetic>,
     /// Some of the cameras, in the model's frame.
@@ -114,6 +114,8 @@ impl SceneCamera {
 pub struct Walkable {
     scene: Scene,
     spz: Vec<u8>,
+    frame: LocalFrame,
+    lie: Lie,
 }
 
 impl Walkable {
@@ -136,39 +138,65 @@ impl Walkable {
             }
             false => read_ply(&path, &world_cameras, room)?,
         };
-        let spz = encode(splats, room.file_bytes, &path)?;
+        if splats.is_empty() {
+            return Err(WalkableError::Nothing { path });
+        }
         let cameras = evenly_spaced(&world_cameras, CAMERAS_MAX);
+        let cameras: Vec<Camera> = cameras.iter().map(|camera| frame.local_camera(camera)).collect();
+        let lie = Lie::of(&splats, &cameras, geo.is_some());
+        let spz = encode(splats, room.file_bytes, &path)?;
         let scene = Scene {
             name: model.file_name().map_or_else(String::new, |name| name.to_string_lossy().into_owned()),
             origin: frame.origin().to_array(),
             unit: frame.unit(),
-            up: geo.map(|_| UP),
+            up: lie.up.to_array(),
             geo,
-            cameras: cameras.iter().map(|camera| SceneCamera::of(&frame.local_camera(camera))).collect(),
+            cameras: cameras.iter().map(SceneCamera::of).collect(),
             splats: spz.splats,
             of_splats,
         };
-        Ok(Self { scene, spz: spz.bytes })
+        Ok(Self { scene, spz: spz.bytes, frame, lie })
     }
 
     /// The scene as JSON.
-    pub fn scene_json(&self) -> String {
+    pub(crate) fn scene_json(&self) -> String {
         serde_json::to_string(&self.scene).expect("numbers and texts")
     }
 
     /// The splats as an SPZ file.
-    pub fn spz(&self) -> &[u8] {
+    pub(crate) fn spz(&self) -> &[u8] {
         &self.spz
     }
 
     /// The splats as an SPZ file.
-    pub fn into_spz(self) -> Vec<u8> {
+    pub(crate) fn into_spz(self) -> Vec<u8> {
         self.spz
     }
 
     /// Name of the model: that of its file or folder.
-    pub fn name(&self) -> &str {
+    pub(crate) fn name(&self) -> &str {
         &self.scene.name
+    }
+
+    /// The frame of splats and cameras.
+    pub(crate) fn frame(&self) -> &LocalFrame {
+        &self.frame
+    }
+
+    /// A camera that looks at the whole model, in its frame.
+    pub(crate) fn overview(&self, size_px: [u32; 2]) -> Camera {
+        self.lie.overview(size_px)
+    }
+
+    /// Median length on the ground that a pixel of the photographs covers, world units; `None` without cameras.
+    pub(crate) fn pixel(&self) -> Option<f64> {
+        self.lie.pixel.map(|length| length * self.frame.unit())
+    }
+
+    /// Area of the ground between the points that the photographs are centred on, squared world units; `None` if there is
+    /// none.
+    pub(crate) fn area(&self) -> Option<f64> {
+        self.lie.area.map(|area| area * self.frame.unit().powi(2))
     }
 
     /// Number of splats that are shown, and number of splats of the whole model.
@@ -223,15 +251,12 @@ struct Encoded {
 /// Encodes as many splats as the limit allows, the most important ones.
 fn encode(mut splats: Splats, file_bytes: Option<usize>, path: &Path) -> Result<Encoded, WalkableError> {
     loop {
-        if splats.is_empty() {
-            return Err(WalkableError::Nothing { path: path.into() });
-        }
         let bytes = spz::to_bytes(&splats).ok_or_else(|| WalkableError::TooFar { path: path.into() })?;
         let limit = file_bytes.unwrap_or(usize::MAX);
         if bytes.len() <= limit {
             return Ok(Encoded { bytes, splats: splats.len() });
         }
-        let most = (splats.len() as f64 * limit as f64 / bytes.len() as f64 * CAUTION) as usize;
+        let most = ((splats.len() as f64 * limit as f64 / bytes.len() as f64 * CAUTION) as usize).max(1);
         let least = least_of(plain_importance(&splats), most);
         let mut kept = Splats::with_capacity(most, splats.sh_degree);
         keep(&splats, least, most, &mut kept);

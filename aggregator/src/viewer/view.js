@@ -4,7 +4,7 @@
 // scene are either elements of the page (a report, which is one file) or fetched from beside the page. The scene is
 // `Scene` of aggregator/src/viewer/model.rs.
 
-/* global decodeSpz, bytesOfBase64, Drawing, Walk, listen, upOf, project, unproject, describePoint, describeLine */
+/* global decodeSpz, bytesOfBase64, Drawing, Walk, listen, project, unproject, describePoint, describeLine */
 
 /** A frame that takes longer, ms, makes the picture of a moving camera coarser. */
 const SLOW_MS = 60;
@@ -28,7 +28,7 @@ class Viewer {
     this.told = section.querySelector('.told');
     this.marks = section.querySelector('.marks');
     this.drawing = new Drawing(this.canvas, model);
-    this.walk = new Walk(model.positions, scene.up ?? upOf(scene.cameras));
+    this.walk = new Walk(model.positions, scene.up);
     Object.assign(this, { layer: 0, points: [], isMeasuring: false, photograph: -1, coarseness: 1, lastFrame: 0, isAsked: false });
     listen(this.canvas, this);
     section.querySelector('.bar').addEventListener('click', ({ target }) => {

@@ -3,7 +3,7 @@
 //
 // Start reading at Walk. Angles are in radians; lengths are in the model's unit (metres if the model is georeferenced).
 
-/* exported Walk, upOf, project, unproject */
+/* exported Walk, project, unproject */
 
 const PITCH_MAX = 1.55;
 /** Vertical field of view, radians: that of a common wide-angle lens. */
@@ -14,13 +14,6 @@ const dot = (a, b) => a[0] * b[0] + a[1] * b[1] + a[2] * b[2];
 const cross = (a, b) => [a[1] * b[2] - a[2] * b[1], a[2] * b[0] - a[0] * b[2], a[0] * b[1] - a[1] * b[0]];
 const row = (rotation, k) => rotation.slice(3 * k, 3 * k + 3);
 const limit = (value, low, high) => Math.min(high, Math.max(low, value));
-
-/** The axis of the model that points up, as the cameras tell: photographs have the sky above, or look down. */
-function upOf(cameras) {
-  const axes = [[0, 0, 1], [0, 0, -1], [0, 1, 0], [0, -1, 0], [1, 0, 0], [-1, 0, 0]];
-  const score = (axis) => cameras.reduce((sum, { rotation }) => sum + Math.max(-dot(row(rotation, 1), axis), -dot(row(rotation, 2), axis)), 0);
-  return axes.reduce((best, axis) => (score(axis) > 1.05 * score(best) ? axis : best));
-}
 
 /** Where a point is in a camera's picture, `[x px, y px, depth]`. */
 function project(camera, point) {
