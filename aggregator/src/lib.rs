@@ -24,7 +24,8 @@
 //!  └─ terminal ─► mesh        progress for people; depth to triangles
 //! ```
 //!
-//! [`viewer`] stands below `report`: a model that people walk through in a browser.
+//! [`viewer`] stands below `report`: a model that people walk through in a browser. [`station`] serves it, and shows what
+//! services and missions note on its board.
 //! [`survey`] stands beside `mission`: it makes what a surveyor delivers of a global model.
 //! [`worker`] stands beside `service`: it distils tiles for merges on other computers. [`pki`] stands alone: it makes the
 //! keys of a site. `quiet` limits lines in the log.

@@ -18,7 +18,7 @@ use cosurf_link::SerialConfig;
 use cosurf_link::serial::{DEFAULT_BAUD, GATEWAY_MESSAGE_BYTES};
 use serde::Serialize;
 
-use cli::arguments::ConfigArgs;
+use cli::arguments::{ConfigArgs, HttpArgs};
 
 /// Ground station of cosurf: receives the splat models that drones send, merges them, and sends the global model back.
 #[derive(Parser)]
@@ -70,6 +70,8 @@ struct RunArgs {
     /// Let everybody who reaches `bind` read and send everything, as open = true does
     #[arg(long)]
     open: bool,
+    #[command(flatten)]
+    http: HttpArgs,
     /// Print every event as a line of JSON
     #[arg(long)]
     json: bool,
@@ -127,6 +129,8 @@ fn run(args: &RunArgs) -> Result<()> {
     })
     .context("cannot install the Ctrl-C handler")?;
     let (begun, json) = (Instant::now(), args.json);
+    let site = args.http.serve(&config.out, true)?;
+    let board = site.as_ref().map(|site| site.board.clone());
     let line =
         |port: &String| SerialConfig::device(port, args.baud, cli::host::session(), GATEWAY_MESSAGE_BYTES);
     let served = serve(
@@ -139,7 +143,10 @@ fn run(args: &RunArgs) -> Result<()> {
         args.serial.iter().map(line).collect(),
         move || begun.elapsed(),
         &receiver,
-        |event| show(event, json),
+        |event| {
+            board.iter().for_each(|board| board.note_service(event));
+            show(event, json);
+        },
         move |event| show(&event, json),
     );
     match served {

@@ -1,20 +1,29 @@
-//! The ground station in a browser: an HTTP server that shows a model.
+//! The ground station in a browser: an HTTP server that shows a model, or a running site with its devices, log and model.
 //!
 //! What it knows nothing about: how models are merged, and what the viewer draws.
 //!
-//! The server answers the computer that it runs on. Beyond that, everybody needs a token ([`Token`]). Sizes, times and the
-//! number of connections are bounded ([`listen`]). A page loads nothing from elsewhere and can be part of no other page
-//! ([`guard`]).
+//! The server answers the computer that it runs on. Beyond that, everybody needs a token ([`Token`]), and acting always
+//! needs it. Sizes, times and the number of connections are bounded ([`listen`]). A page loads nothing from elsewhere and
+//! can be part of no other page ([`guard`]).
 //!
-//! Where to start reading: [`Server`], then [`pages`], what there is to see.
+//! Where to start reading: [`serve_site`] and [`serve_model`]; then [`Board`], what is known of a site, and [`live`], what
+//! there is to see and to do.
 
+mod board;
 mod error;
 mod guard;
 mod listen;
+mod live;
+mod metrics;
 mod pages;
+mod serve;
+#[cfg(test)]
+mod tests;
 mod token;
 
+pub use board::Board;
 pub use error::StationError;
 pub use listen::Server;
-pub use pages::serve_model;
+pub use live::Forget;
+pub use serve::{serve_model, serve_site};
 pub use token::Token;

@@ -1,10 +1,13 @@
 //! Arguments that several commands take.
 
+use std::net::SocketAddr;
 use std::path::{Path, PathBuf};
+use std::sync::Arc;
 
 use anyhow::{Result, ensure};
 use clap::Args;
-use cosurf_aggregator::service::AggregatorConfig;
+use cosurf_aggregator::service::{AggregatorConfig, withdraw};
+use cosurf_aggregator::station::{Board, Forget, Server, Token, serve_site};
 
 /// The option that names the configuration file of a service.
 #[derive(Args)]
@@ -25,6 +28,40 @@ impl ConfigArgs {
         let is_there = self.config.exists();
         ensure!(is_there, "{}: there is no such file; name another with --config", self.config.display());
         Ok(AggregatorConfig::read(&self.config)?)
+    }
+}
+
+/// The options of the ground station in a browser.
+#[derive(Args)]
+pub(crate) struct HttpArgs {
+    /// Show devices, log and model in a browser at this address and port, for example 127.0.0.1:8080. Other computers
+    /// need the token that is printed
+    #[arg(long, value_name = "ADDRESS")]
+    http: Option<SocketAddr>,
+    /// File whose first line is the token [default: a random one]
+    #[arg(long, value_name = "FILE", requires = "http")]
+    http_token_file: Option<PathBuf>,
+}
+
+/// A ground station that is served while this value lives.
+pub(crate) struct ServedSite {
+    pub(crate) board: Board,
+    _server: Server,
+}
+
+impl HttpArgs {
+    /// Serves the service or mission in a folder, if an address is given, and prints the address to standard error. If
+    /// `acts`, the operator can withdraw devices.
+    pub(crate) fn serve(&self, folder: &Path, acts: bool) -> Result<Option<ServedSite>> {
+        let Some(address) = self.http else { return Ok(None) };
+        let token = self.http_token_file.as_deref().map_or_else(Token::random, Token::read)?;
+        let board = Board::new(folder);
+        let folder = folder.to_owned();
+        let forget: Forget =
+            Arc::new(move |device| withdraw(&folder, device).map_err(|error| error.to_string()));
+        let server = serve_site(address, &token, board.clone(), acts.then_some(forget))?;
+        eprintln!("http://{}/?token={}", server.address(), token.as_str());
+        Ok(Some(ServedSite { board, _server: server }))
     }
 }
 

@@ -18,6 +18,7 @@ use cosurf_link::BrokerAddress;
 use cosurf_scene::bytes::parse_bytes;
 use cosurf_scene::{Dataset, FolderLock};
 
+use super::arguments::HttpArgs;
 use super::host::{cores, display, session};
 use super::merge::Ways;
 
@@ -84,6 +85,8 @@ pub(crate) struct MissionArgs {
     /// Also score the global model by LPIPS, with the weights vgg.safetensors and alex.safetensors in this folder
     #[arg(long, value_name = "FOLDER")]
     lpips: Option<PathBuf>,
+    #[command(flatten)]
+    http: HttpArgs,
     /// Print every event, and at the end the report, as lines of JSON
     #[arg(long)]
     json: bool,
@@ -93,7 +96,9 @@ pub(crate) fn run(args: MissionArgs) -> Result<()> {
     let out = absolute(&args.out).context("--out")?;
     let _lock = FolderLock::take(&out, "cosurf-aggregator mission")?;
     let data = args.data.as_ref().map(absolute).transpose().context("--data")?;
-    let around = surroundings(args.json)?;
+    let site = args.http.serve(&out, false)?;
+    let around =
+        Surroundings { board: site.as_ref().map(|site| site.board.clone()), ..surroundings(args.json)? };
     let data = match data {
         Some(photographs) if Dataset::is_without_poses(&photographs) => {
             Some(ingest(&around.agent, &photographs, &out.join("data"), args.json)?)
@@ -214,6 +219,7 @@ fn surroundings(json: bool) -> Result<Surroundings> {
         cores: cores(),
         agent: executable.with_file_name(format!("cosurf-agent{}", std::env::consts::EXE_SUFFIX)),
         display: display(json),
+        board: None,
         interrupted,
         peak_memory_bytes: || Some(usage::peak_bytes()).filter(|bytes| *bytes > 0),
     })

@@ -9,6 +9,7 @@ use cosurf_city::CitySettings;
 use cosurf_link::BrokerAddress;
 
 use super::plan::Settings;
+use crate::station::Board;
 use crate::terminal::Display;
 
 /// Which mission to run.
@@ -40,6 +41,8 @@ pub struct Surroundings {
     pub agent: PathBuf,
     /// How to show progress.
     pub display: Display,
+    /// Where to note what happens, for people who look at it in a browser; `None` if nobody does.
+    pub board: Option<Board>,
     /// Set when the user asks to stop.
     pub interrupted: Arc<AtomicBool>,
     /// Returns the peak resident memory of this process, bytes; `None` if the system does not report it.

@@ -4,6 +4,8 @@ use std::sync::atomic::Ordering;
 use std::sync::mpsc::{Receiver, RecvTimeoutError};
 use std::time::Duration;
 
+use cosurf_contract::{AgentPhase, AgentStatus};
+
 use super::agents::{ProcessEvent, ProcessEventKind};
 use super::board::{Phase, Status};
 use super::error::MissionError;
@@ -33,6 +35,8 @@ pub(crate) struct Watch<'a> {
     signals: Receiver<Signal>,
     progress: Progress,
     board: Vec<Status>,
+    /// The status of each agent as the ground station shows it.
+    shown: Vec<AgentStatus>,
     edges: Vec<EdgeStatus>,
     /// For each post in the hierarchy, whether its aggregator has reached the broker.
     connected: Vec<bool>,
@@ -47,6 +51,7 @@ impl<'a> Watch<'a> {
             signals,
             progress: Progress::new(names, around.display),
             board: plan.devices.iter().map(|_| Status::default()).collect(),
+            shown: vec![AgentStatus::new(0, env!("CARGO_PKG_VERSION")); plan.devices.len()],
             edges: vec![EdgeStatus::default(); plan.edges.len()],
             connected: vec![false; 1 + plan.edges.len()],
         }
@@ -100,6 +105,7 @@ impl<'a> Watch<'a> {
     }
 
     fn take_agent(&mut self, event: &ProcessEvent, hierarchy: &Hierarchy) {
+        self.show_agent(event);
         let (device, status) = (self.plan.devices[event.agent], &mut self.board[event.agent]);
         if let Some(line) = status.take(&event.kind) {
             self.progress.notice(&format!("{device}: {line}"));
@@ -118,12 +124,31 @@ impl<'a> Watch<'a> {
         }
     }
 
+    /// Shows an agent's event in the ground station.
+    fn show_agent(&mut self, event: &ProcessEvent) {
+        let Some(board) = &self.around.board else { return };
+        let shown = &mut self.shown[event.agent];
+        match &event.kind {
+            ProcessEventKind::Said(event) => {
+                shown.follow(event);
+            }
+            ProcessEventKind::Ended => shown.phase = AgentPhase::Done,
+            ProcessEventKind::Restarting { reason, .. } | ProcessEventKind::Failed { reason } => {
+                shown.problem = Some(reason.clone());
+            }
+        }
+        board.note_status(self.plan.devices[event.agent], shown.clone());
+    }
+
     fn take_service(
         &mut self,
         post: usize,
         event: ServiceEvent,
         hierarchy: &Hierarchy,
     ) -> Result<(), MissionError> {
+        if let (0, Some(board)) = (post, &self.around.board) {
+            board.note_service(&event);
+        }
         match &event {
             ServiceEvent::Connected => {
                 self.connected[post] = true;

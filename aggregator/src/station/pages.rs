@@ -1,71 +1,69 @@
-//! What there is to see: the page of a model, and the files of the viewer.
+//! The pages, and answers of one type.
 
-use std::net::SocketAddr;
-use std::sync::Arc;
-
-use axum::extract::DefaultBodyLimit;
+use axum::Router;
+use axum::body::Bytes;
 use axum::http::header::CONTENT_TYPE;
-use axum::middleware::from_fn_with_state;
 use axum::response::{IntoResponse, Response};
 use axum::routing::get;
-use axum::{Router, body::Bytes};
 
-use super::error::StationError;
-use super::guard::{Guard, protect};
-use super::listen::Server;
-use super::token::Token;
-use crate::viewer::{self, Walkable};
+use crate::report::escape;
+use crate::viewer;
 
-/// Largest body of a request, bytes.
-const BODY_BYTES_MAX: usize = 4096;
 /// Styles of a page that only shows a model.
-const STYLE: &str = "html,body{margin:0;height:100%;background:#000;font:16px/1.5 system-ui,sans-serif}\
-                     .viewer{height:100vh;height:100dvh;border-radius:0}";
-
-/// Serves one model until the server is dropped. Beyond this computer, `token` must be shown.
-pub fn serve_model(address: SocketAddr, token: &Token, model: Walkable) -> Result<Server, StationError> {
-    let scene = model.scene_json();
-    let title = model.name().to_owned();
-    let spz = Bytes::from(model.into_spz());
-    let page: Arc<str> = page_of(&title).into();
-    let routes = Router::new()
-        .route("/", get(move || async move { html(page.to_string()) }))
-        .route("/scene.json", get(move || async move { typed("application/json", scene) }))
-        .route("/model.spz", get(move || async move { typed("application/octet-stream", spz) }));
-    Server::start(address, guarded(routes.merge(viewer_files()), address, token))
-}
+const MODEL_STYLE: &str = "html,body{margin:0;height:100%;background:#000;font:16px/1.5 system-ui,sans-serif}\
+                           .viewer{height:100vh;height:100dvh;border-radius:0}";
 
 /// The page of a model.
-fn page_of(title: &str) -> String {
+pub(super) fn model_page(title: &str) -> String {
+    let body = format!("<body><main>{}</main><script src=\"/viewer.js\"></script></body>", viewer::SECTION);
+    page(title, "model", &body)
+}
+
+/// The page of a running site, with the model if there is a revision. `acts` tells whether the operator can act.
+pub(super) fn live_page(revision: Option<u64>, acts: bool) -> String {
+    let (viewer, script) = match revision {
+        Some(_) => (viewer::SECTION, "<script src=\"/viewer.js\"></script>"),
+        None => ("", ""),
+    };
+    let main = include_str!("live.html").replace("VIEWER", viewer);
+    let revision = revision.map_or_else(String::new, |revision| revision.to_string());
+    let acts = if acts { "yes" } else { "" };
+    let body = format!(
+        "<body data-revision=\"{revision}\" data-acts=\"{acts}\">\n{main}{script}<script src=\"/live.js\"></script></body>"
+    );
+    page("cosurf ground station", "live", &body)
+}
+
+/// A page with this title, style sheet and body.
+fn page(title: &str, style: &str, body: &str) -> String {
     format!(
         "<!doctype html>\n<html lang=\"en\"><head><meta charset=\"utf-8\">\
          <meta name=\"viewport\" content=\"width=device-width, initial-scale=1\"><title>{}</title>\
-         <link rel=\"icon\" href=\"data:,\"><link rel=\"stylesheet\" href=\"/viewer.css\"></head>\n\
-         <body><main>{}</main><script src=\"/viewer.js\"></script></body></html>\n",
-        crate::report::escape(title),
-        viewer::SECTION
+         <link rel=\"icon\" href=\"data:,\"><link rel=\"stylesheet\" href=\"/{style}.css\"></head>\n{body}</html>\n",
+        escape(title)
     )
 }
 
-/// The script and the style sheet of the viewer.
-fn viewer_files() -> Router {
-    let script = Bytes::from(viewer::script());
-    let style = Bytes::from(format!("{}{STYLE}", viewer::STYLE));
+/// The scripts and style sheets of all pages.
+pub(super) fn files() -> Router {
+    let file = |content_type, text: String| {
+        let text = Bytes::from(text);
+        get(move || async move { typed(content_type, text) })
+    };
+    let [css, js] = ["text/css; charset=utf-8", "text/javascript; charset=utf-8"];
     Router::new()
-        .route("/viewer.js", get(move || async move { typed("text/javascript; charset=utf-8", script) }))
-        .route("/viewer.css", get(move || async move { typed("text/css; charset=utf-8", style) }))
+        .route("/viewer.js", file(js, viewer::script()))
+        .route("/model.css", file(css, format!("{}{MODEL_STYLE}", viewer::STYLE)))
+        .route("/live.js", file(js, include_str!("live.js").to_owned()))
+        .route("/live.css", file(css, format!("{}{}", include_str!("live.css"), viewer::STYLE)))
 }
 
-/// Puts the guard in front of routes.
-fn guarded(routes: Router, address: SocketAddr, token: &Token) -> Router {
-    let guard = Guard { token: token.clone(), is_local: address.ip().is_loopback() };
-    routes.layer(DefaultBodyLimit::max(BODY_BYTES_MAX)).layer(from_fn_with_state(guard, protect))
-}
-
-fn html(text: String) -> Response {
+/// An answer with a page.
+pub(super) fn html(text: String) -> Response {
     typed("text/html; charset=utf-8", text)
 }
 
-fn typed(content_type: &'static str, body: impl IntoResponse) -> Response {
+/// An answer of this type.
+pub(super) fn typed(content_type: &'static str, body: impl IntoResponse) -> Response {
     ([(CONTENT_TYPE, content_type)], body).into_response()
 }

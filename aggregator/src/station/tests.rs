@@ -1,0 +1,160 @@
+//! What strangers can do to the server, over sockets.
+#![allow(clippy::unwrap_used)]
+
+use std::io::{Read, Write};
+use std::net::{SocketAddr, TcpStream};
+use std::path::Path;
+use std::sync::{Arc, Mutex};
+use std::time::{Duration, Instant};
+
+use cosurf_contract::AgentStatus;
+use cosurf_wire::DeviceId;
+
+use super::*;
+
+/// A request with these header lines and this body. Returns the answer, or what came of it.
+fn ask(address: SocketAddr, line: &str, headers: &[&str], body: &str) -> String {
+    let mut stream = TcpStream::connect(address).unwrap();
+    stream.set_read_timeout(Some(Duration::from_secs(20))).unwrap();
+    let headers: String = headers.iter().map(|header| format!("{header}\r\n")).collect();
+    let length = body.len();
+    let request = format!("{line} HTTP/1.1\r\n{headers}Content-Length: {length}\r\n\r\n{body}");
+    let _ = stream.write_all(request.as_bytes()); // the server may refuse before the end
+    let mut answer = Vec::new();
+    let _ = stream.read_to_end(&mut answer);
+    String::from_utf8_lossy(&answer).into_owned()
+}
+
+fn status(answer: &str) -> u16 {
+    answer.split_whitespace().nth(1).and_then(|text| text.parse().ok()).unwrap_or(0)
+}
+
+struct Site {
+    server: Server,
+    token: Token,
+    board: Board,
+    forgotten: Arc<Mutex<Vec<DeviceId>>>,
+}
+
+impl Site {
+    fn start(address: &str) -> Self {
+        let (token, board) = (Token::random().unwrap(), Board::new(Path::new("no such folder")));
+        let forgotten = Arc::new(Mutex::new(Vec::new()));
+        let list = forgotten.clone();
+        let forget: Forget = Arc::new(move |device| {
+            list.lock().unwrap().push(*device);
+            Ok(())
+        });
+        let server = serve_site(address.parse().unwrap(), &token, board.clone(), Some(forget)).unwrap();
+        Self { server, token, board, forgotten }
+    }
+
+    fn address(&self) -> SocketAddr {
+        SocketAddr::from(([127, 0, 0, 1], self.server.address().port()))
+    }
+
+    fn get(&self, path: &str) -> String {
+        ask(self.address(), &format!("GET {path}"), &["Host: localhost"], "")
+    }
+
+    fn forget(&self, headers: &[&str], body: &str) -> u16 {
+        let headers: Vec<&str> = ["Host: localhost"].iter().chain(headers).copied().collect();
+        status(&ask(self.address(), "POST /api/forget", &headers, body))
+    }
+}
+
+#[test]
+fn only_the_operator_acts_and_every_action_is_logged() {
+    let site = Site::start("127.0.0.1:0");
+    let body = r#"{"device": "drone-1"}"#;
+    let bearer = format!("Authorization: Bearer {}", site.token.as_str());
+    assert_eq!(site.forget(&[], body), 401);
+    assert_eq!(site.forget(&["Authorization: Bearer 0123456789abcdef"], body), 401);
+    assert_eq!(site.forget(&[&bearer, "Origin: http://evil.example"], body), 403);
+    assert_eq!(site.forget(&[&bearer], r#"{"device": "<b>"}"#), 400);
+    // The answer may be lost, because the server closes the connection before it has read everything.
+    assert_ne!(site.forget(&[&bearer], &"x".repeat(100_000)), 204);
+    assert!(site.forgotten.lock().unwrap().is_empty());
+    assert_eq!(site.forget(&[&bearer], body), 204);
+    assert_eq!(*site.forgotten.lock().unwrap(), [DeviceId::new("drone-1").unwrap()]);
+    assert!(site.get("/api/state").contains("the operator forgets drone-1: done"));
+}
+
+#[test]
+fn strangers_beyond_this_computer_see_nothing_without_the_token() {
+    let site = Site::start("0.0.0.0:0");
+    for path in
+        ["/", "/api/state", "/api/events", "/metrics", "/model.spz", "/viewer.js", "/?token=0123456789abcdef"]
+    {
+        assert_eq!(status(&site.get(path)), 401, "{path}");
+    }
+    assert_eq!(status(&site.get("/healthz")), 200);
+    let bearer = format!("Authorization: Bearer {}", site.token.as_str());
+    assert_eq!(status(&ask(site.address(), "GET /metrics", &["Host: x", &bearer], "")), 200);
+}
+
+#[test]
+fn paths_lead_nowhere_and_other_hosts_are_refused() {
+    let site = Site::start("127.0.0.1:0");
+    for path in
+        ["/../Cargo.toml", "/%2e%2e/Cargo.toml", "/viewer.js/../../etc/passwd", "//etc/passwd", "/etc/passwd"]
+    {
+        assert_eq!(status(&site.get(path)), 404, "{path}");
+    }
+    assert_eq!(status(&ask(site.address(), "GET /api/state", &["Host: evil.example"], "")), 403);
+    let page = site.get("/");
+    assert!(page.contains("content-security-policy: default-src 'none'"), "{page}");
+}
+
+#[test]
+fn large_and_slow_heads_end_the_connection() {
+    let site = Site::start("127.0.0.1:0");
+    let large = format!("X: {}", "x".repeat(100_000));
+    assert_ne!(status(&ask(site.address(), "GET /", &["Host: localhost", &large], "")), 200);
+    let begun = Instant::now();
+    let mut slow = TcpStream::connect(site.address()).unwrap();
+    slow.set_read_timeout(Some(Duration::from_secs(20))).unwrap();
+    slow.write_all(b"GET / HTTP/1.1\r\n").unwrap();
+    let mut answer = Vec::new();
+    let _ = slow.read_to_end(&mut answer);
+    assert!(begun.elapsed() < Duration::from_secs(15) && status(&String::from_utf8_lossy(&answer)) != 200);
+}
+
+#[test]
+fn a_thousand_idle_connections_keep_the_server_busy_only_for_seconds() {
+    let site = Site::start("127.0.0.1:0");
+    let idle: Vec<TcpStream> = (0..1000).filter_map(|_| TcpStream::connect(site.address()).ok()).collect();
+    assert!(idle.len() > 128, "{}", idle.len());
+    let begun = Instant::now();
+    while status(&site.get("/healthz")) != 200 {
+        assert!(begun.elapsed() < Duration::from_secs(15), "the server does not recover");
+        std::thread::sleep(Duration::from_millis(200));
+    }
+}
+
+#[test]
+fn texts_of_devices_reach_a_page_only_as_json() {
+    let site = Site::start("127.0.0.1:0");
+    let problem = Some("<script>alert(1)</script>".to_owned());
+    let status = AgentStatus { problem, ..AgentStatus::new(1, "1") };
+    site.board.note_status(DeviceId::new("drone-1").unwrap(), status);
+    assert!(!site.get("/").contains("alert(1)") && !site.get("/metrics").contains("alert(1)"));
+    let state = site.get("/api/state");
+    assert!(state.contains("content-type: application/json") && state.contains("alert(1)"), "{state}");
+    assert!(!include_str!("live.js").contains("innerHTML"));
+}
+
+#[test]
+fn a_reader_of_events_gets_the_state_at_once() {
+    let site = Site::start("127.0.0.1:0");
+    let mut stream = TcpStream::connect(site.address()).unwrap();
+    stream.set_read_timeout(Some(Duration::from_secs(10))).unwrap();
+    stream.write_all(b"GET /api/events HTTP/1.1\r\nHost: localhost\r\n\r\n").unwrap();
+    let mut text = String::new();
+    let mut part = [0; 4096];
+    while !text.contains("event: state") || !text.contains("uptime_s") {
+        let count = stream.read(&mut part).unwrap();
+        assert!(count > 0, "{text}");
+        text.push_str(&String::from_utf8_lossy(&part[..count]));
+    }
+}
