@@ -10,7 +10,7 @@ use cosurf_scene::Picture;
 use crate::report::{Captioned, Client};
 use crate::service::global_ply;
 use crate::viewer::{Room, Walkable};
-use crate::views::Views;
+use crate::views::open_within;
 
 /// Size of the overview, px.
 const OVERVIEW_PX: [u32; 2] = [1280, 640];
@@ -33,7 +33,7 @@ pub(crate) fn client(folder: &Path, memory_bytes: u64, threads: usize) -> Client
 
 /// The whole model from above; `None` if that takes too much memory.
 fn overview(folder: &Path, model: &Walkable, memory_bytes: u64, threads: usize) -> Option<Captioned> {
-    let mut views = Views::open(global_ply(folder), model.frame(), Some(memory_bytes), threads).ok()?;
+    let mut views = open_within(global_ply(folder), model.frame(), memory_bytes, threads).ok()?;
     let rendering = views.render(&model.overview(OVERVIEW_PX)).ok()?;
     Captioned::new("the whole model from above", &Picture::from_unit(OVERVIEW_PX, &rendering.rgb)).ok()
 }

@@ -163,7 +163,7 @@ fn all_files_are_written_and_readers_understand_them() {
 fn the_orthophoto_has_no_seams_between_tiles() {
     let folder = tempfile::tempdir().unwrap();
     model(folder.path());
-    let scene = Scene::open(folder.path(), MEMORY_BYTES).unwrap();
+    let scene = Scene::open(folder.path()).unwrap();
     let (lattice, heights) = heights(&scene, folder.path(), 512);
     let colors = |tile_px: u32| {
         let mut tiles = tiles_of(&heights, folder.path(), lattice.size_px(), tile_px);
