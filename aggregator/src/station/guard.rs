@@ -40,7 +40,7 @@ pub(super) struct Guard {
 pub(super) async fn protect(State(guard): State<Guard>, request: Request, next: Next) -> Response {
     let mut response = match guard.admit(request.method(), request.uri(), request.headers()) {
         Ok(()) => next.run(request).await,
-        Err(refusal) => refusal,
+        Err(refusal) => *refusal,
     };
     for (name, value) in HEADERS {
         response.headers_mut().insert(name, HeaderValue::from_static(value));
@@ -50,7 +50,7 @@ pub(super) async fn protect(State(guard): State<Guard>, request: Request, next: 
 
 impl Guard {
     /// Decides on a request. The error is the answer to one that is not let through.
-    fn admit(&self, method: &Method, uri: &Uri, headers: &HeaderMap) -> Result<(), Response> {
+    fn admit(&self, method: &Method, uri: &Uri, headers: &HeaderMap) -> Result<(), Box<Response>> {
         let host = text(headers, HOST).unwrap_or_default();
         // A page of another site whose name was made to lead here would otherwise read everything.
         if self.is_local && !is_local_name(host) {
@@ -61,7 +61,7 @@ impl Guard {
             return Err(refuse(StatusCode::FORBIDDEN, "a page of another site may not act here"));
         }
         if method == Method::GET && uri.path() == "/" && self.has_token_in_query(uri) {
-            return Err(self.welcome());
+            return Err(Box::new(self.welcome()));
         }
         let has_token = shown(headers).any(|text| self.token.is(text));
         if !has_token && (acts || !self.is_local) {
@@ -114,12 +114,12 @@ fn is_same_site(headers: &HeaderMap, host: &str) -> bool {
     let is_ours = |origin: &str| origin.strip_prefix("http://").is_some_and(|rest| rest == host);
     let fetch_site = text(headers, HeaderName::from_static("sec-fetch-site"));
     text(headers, ORIGIN).is_none_or(is_ours)
-        && !headers.get(ORIGIN).is_some_and(|origin| origin.to_str().is_err())
+        && headers.get(ORIGIN).is_none_or(|origin| origin.to_str().is_ok())
         && fetch_site.is_none_or(|site| site == "same-origin" || site == "none")
 }
 
-fn refuse(status: StatusCode, why: &'static str) -> Response {
-    (status, format!("{why}\n")).into_response()
+fn refuse(status: StatusCode, why: &'static str) -> Box<Response> {
+    Box::new((status, format!("{why}\n")).into_response())
 }
 
 #[cfg(test)]

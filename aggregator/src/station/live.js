@@ -28,7 +28,7 @@
       of(status, ({ step, steps }) => `${step} of ${steps}`),
       of(status?.psnr, (psnr) => `${psnr.toFixed(1)} dB`),
       of(status, ({ splats }) => String(splats)),
-      of(status, ({ memory_bytes }) => bytes(memory_bytes)),
+      of(status?.memory_bytes || null, bytes),
       of(status?.bytes_total || null, (total) => `${Math.min(100, Math.round((100 * status.bytes_sent) / total))} %`),
       of(status?.seconds_left, seconds),
       of(heard, (s) => `${seconds(s)} ago`),
