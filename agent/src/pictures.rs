@@ -8,6 +8,8 @@ use cosurf_engine::Views;
 use cosurf_scene::colormap::{depth_picture, depth_range, normal_picture};
 use cosurf_scene::{Camera, Picture, View, atomic};
 
+use crate::viewing;
+
 /// A picture of three bytes, the same compressed, and the sorted depths that decide its colours.
 const PICTURE_BYTES_PER_PIXEL: u64 = 3 + 3 + 4;
 
@@ -23,7 +25,7 @@ pub fn scratch_bytes(cameras: &[Camera]) -> u64 {
 /// optical axis, 0 where there is no surface.
 pub fn write(model: &mut Views, view: &View, max_size_px: u32, unit: f64, folder: &Path) -> Result<()> {
     let camera = view.camera.fitted(max_size_px);
-    let mut rendering = model.render(&camera)?;
+    let mut rendering = viewing::render(model, &camera)?;
     rendering.depth.iter_mut().for_each(|depth| *depth *= unit as f32);
     let stem = Path::new(&view.name).with_extension("");
     let stem = stem.to_string_lossy().replace(['/', '\\'], "_");

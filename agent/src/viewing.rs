@@ -2,10 +2,10 @@
 
 use std::path::PathBuf;
 
-use anyhow::{Result, ensure};
+use anyhow::{Result, anyhow, ensure};
 use cosurf_contract::usage;
 use cosurf_engine::budget::PROCESS_BYTES;
-use cosurf_engine::{DeviceChoice, Place, ViewMemory, Views};
+use cosurf_engine::{DeviceChoice, Place, Rendering, ViewError, ViewMemory, Views};
 use cosurf_scene::{Camera, LocalFrame};
 
 /// Opens the model in the PLY file `model` to render it from `cameras`, which are in `frame`. With a limit, it is rendered
@@ -38,4 +38,17 @@ pub fn open(
     let mut views = Views::open(model, frame, place, threads)?;
     views.expect(cameras.to_vec());
     Ok(views)
+}
+
+/// What the model shows from a camera. Fails with the remedy if there is too little memory.
+pub fn render(model: &mut Views, camera: &Camera) -> Result<Rendering> {
+    model.render(camera).map_err(|error| match error {
+        ViewError::TooLittleMemory { needed_bytes, .. } => {
+            anyhow!(
+                "{error}; allow --memory {}MiB or choose a smaller --max-size",
+                needed_bytes.div_ceil(1 << 20)
+            )
+        }
+        error => error.into(),
+    })
 }

@@ -5,7 +5,7 @@ use std::path::PathBuf;
 
 use anyhow::{Result, ensure};
 use clap::Args;
-use cosurf_agent::evaluate;
+use cosurf_agent::{evaluate, viewing};
 use cosurf_scene::{Dataset, LocalFrame, View};
 
 use super::arguments::{Common, ViewingArgs};
@@ -37,7 +37,7 @@ pub(super) fn run(args: &EvalArgs) -> Result<()> {
     let cameras: Vec<_> = views.iter().map(|view| view.camera.fitted(max_size_px)).collect();
     let beside_bytes = evaluate::scratch_bytes(&views, max_size_px)?;
     let mut model = args.viewing.open(&args.model, &frame, &cameras, args.common.threads(), beside_bytes)?;
-    let score = evaluate::score(|camera| Ok(model.render(camera)?), &views, max_size_px)?;
+    let score = evaluate::score(|camera| viewing::render(&mut model, camera), &views, max_size_px)?;
     let mut stdout = io::stdout().lock();
     if args.common.json {
         writeln!(stdout, "{}", serde_json::to_string(&score)?)?;
