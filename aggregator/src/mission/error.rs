@@ -60,12 +60,10 @@ pub enum MissionError {
         /// The last error of the connection.
         reason: String,
     },
-    /// The aggregator cannot write to its disk.
-    #[error(
-        "{reason}; models that arrived before are kept: free some disk space, then run the same command again"
-    )]
+    /// The aggregator cannot write to its disk, or has too little memory for a merge.
+    #[error("{reason}; models that arrived before are kept: mend this, then run the same command again")]
     Disk {
-        /// The error of the disk.
+        /// What failed.
         reason: String,
     },
     /// The user asked to stop.
