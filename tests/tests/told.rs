@@ -195,6 +195,21 @@ fn how_far_an_agent_is_can_be_seen_at_the_broker() {
     assert!(last.psnr.is_some() && last.splats > 0 && last.memory_bytes > 1 << 20, "{last:?}");
 }
 
+/// A shell with mounts of its own, which gets a script next; `None` if `mount` fails in it, and the test is skipped.
+#[cfg(target_os = "linux")]
+fn alone(folder: &Path, mount: &str) -> Option<Command> {
+    let shell = || {
+        let mut command = Command::new("unshare");
+        command.args(["--user", "--map-root-user", "--mount", "sh", "-c"]).current_dir(folder);
+        command
+    };
+    let can_mount = shell().arg(mount).status().is_ok_and(|status| status.success());
+    if !can_mount {
+        skip("REQUIRE_MOUNTS", "this computer allows no mounts of one's own");
+    }
+    can_mount.then(shell)
+}
+
 /// A mount that only the agent sees makes its folder a small disk, without the rights of an administrator.
 #[test]
 #[cfg(target_os = "linux")]
@@ -202,16 +217,33 @@ fn a_full_disk_is_told_before_the_training() {
     let folder = tempfile::tempdir().unwrap();
     prepare(folder.path(), "serial = \"/dev/no-radio\"", 100_000);
     fs::create_dir(folder.path().join("out")).unwrap();
-    let alone = ["--user", "--map-root-user", "--mount", "sh", "-c"];
     let mount = "mount -t tmpfs -o size=64k tmpfs out";
-    let can_mount = Command::new("unshare").args(alone).arg(mount).current_dir(folder.path()).status();
-    if !can_mount.is_ok_and(|status| status.success()) {
-        skip("REQUIRE_MOUNTS", "this computer allows no mounts of one's own");
-        return;
-    }
-    let mut command = Command::new("unshare");
-    command.args(alone).arg(format!("{mount} && exec \"$0\" \"$@\"")).arg(program("cosurf-agent"));
+    let Some(mut command) = alone(folder.path(), mount) else { return };
+    command.arg(format!("{mount} && exec \"$0\" \"$@\"")).arg(program("cosurf-agent"));
     Agent::spawn(folder.path(), command).tells("free some");
+}
+
+/// Goal: a disk that fills during a training does not end it. Method: the disk is filled once the training has begun, and
+/// emptied when the agent has tried twice to write.
+#[test]
+#[cfg(target_os = "linux")]
+fn a_disk_that_fills_holds_a_training_up_until_there_is_room() {
+    let folder = tempfile::tempdir().unwrap();
+    prepare(folder.path(), "", 1);
+    fs::create_dir(folder.path().join("out")).unwrap();
+    let mount = "mount -t tmpfs -o size=8m tmpfs out";
+    let script =
+        "timeout 100 \"$0\" train data --out out --steps 900 --compute cpu --threads 1 --json > log 2>&1 &
+        until grep -q started log; do sleep 0.05; done
+        dd if=/dev/zero of=out/filling bs=1k 2> /dev/null
+        until grep -q '\"attempt\":2' log || ! kill -0 $!; do sleep 0.1; done
+        rm out/filling
+        wait $! && test -s out/model.ply && test -s out/report.json";
+    let Some(mut command) = alone(folder.path(), mount) else { return };
+    command.arg(format!("{mount} || exit\n{script}")).arg(program("cosurf-agent"));
+    let status = command.status().unwrap();
+    let log = fs::read_to_string(folder.path().join("log")).unwrap_or_default();
+    assert!(status.success() && log.contains("the disk is full"), "{log}");
 }
 
 #[test]
