@@ -4,7 +4,6 @@ use std::path::PathBuf;
 
 use anyhow::{Result, anyhow, ensure};
 use cosurf_contract::usage;
-use cosurf_engine::budget::PROCESS_BYTES;
 use cosurf_engine::{DeviceChoice, Place, Rendering, ViewError, ViewMemory, Views};
 use cosurf_scene::{Camera, LocalFrame};
 
@@ -29,7 +28,7 @@ pub fn open(
             );
             Place::Within(ViewMemory {
                 limit_bytes,
-                held_bytes: || usage::resident_bytes().saturating_sub(PROCESS_BYTES),
+                held_bytes: usage::held_bytes,
                 made_bytes: beside_bytes,
                 made_bytes_per_pixel: 0,
             })

@@ -5,7 +5,6 @@
 use std::path::PathBuf;
 
 use cosurf_contract::usage;
-use cosurf_engine::budget::PROCESS_BYTES;
 use cosurf_engine::{Place, ViewMemory, Views};
 use cosurf_scene::{LocalFrame, SceneError};
 
@@ -21,7 +20,7 @@ pub(crate) fn open_within(
 ) -> Result<Views, SceneError> {
     let memory = ViewMemory {
         limit_bytes,
-        held_bytes: || usage::resident_bytes().saturating_sub(PROCESS_BYTES),
+        held_bytes: usage::held_bytes,
         made_bytes: 0,
         made_bytes_per_pixel: MADE_BYTES_PER_PIXEL,
     };

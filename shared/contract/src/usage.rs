@@ -2,6 +2,8 @@
 
 use std::fs;
 
+use cosurf_engine::budget::PROCESS_BYTES;
+
 /// Peak resident memory of this process so far, bytes; 0 if the system does not report it.
 pub fn peak_bytes() -> u64 {
     status_kib("VmHWM:") * 1024
@@ -10,6 +12,11 @@ pub fn peak_bytes() -> u64 {
 /// Resident memory of this process, bytes; 0 if the system does not report it.
 pub fn resident_bytes() -> u64 {
     status_kib("VmRSS:") * 1024
+}
+
+/// Resident memory of this process beyond [`PROCESS_BYTES`], which every process takes, bytes.
+pub fn held_bytes() -> u64 {
+    resident_bytes().saturating_sub(PROCESS_BYTES)
 }
 
 /// Memory of the computer that programs can still allocate without swapping (Linux: `MemAvailable`), bytes. `None` if
