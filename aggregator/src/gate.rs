@@ -56,7 +56,8 @@ use cosurf_link::Model;
 use cosurf_scene::{Camera, evenly_spaced};
 use tracing::info_span;
 
-use crate::merge::{Locals, MergeError, MergeSettings};
+use crate::merge::memory::check_models;
+use crate::merge::{Locals, MergeError, MergeSettings, ModelSize};
 use chosen::choosers;
 use copies::Kept;
 pub use doubt::Doubt;
@@ -109,6 +110,10 @@ pub struct Place {
 impl Locals for Admitted<'_> {
     fn count(&self) -> usize {
         self.places.len()
+    }
+
+    fn size(&self, index: usize) -> Result<ModelSize, MergeError> {
+        self.locals.size(self.places[index].local)
     }
 
     fn load(&self, index: usize) -> Result<Model, MergeError> {
@@ -192,6 +197,8 @@ pub fn admit<'a>(
     is_given_up: &dyn Fn() -> bool,
 ) -> Result<Admitted<'a>, MergeError> {
     let _span = info_span!("gate", models = locals.count()).entered();
+    let held = if frames.refine { 2 } else { 1 };
+    check_models(locals, held, workspace.memory_bytes)?;
     let extents = extents(locals, is_given_up)?;
     let kept = Kept::of(locals, &extents);
     let among = admit_originals(&kept, &kept.extents(&extents), frames, workspace, is_given_up)?;

@@ -68,9 +68,9 @@ pub use error::MergeError;
 pub use fill_in::fill_in;
 pub(crate) use ground::Ground;
 use lessons::lessons;
-pub use locals::{InMemory, Locals};
+pub use locals::{InMemory, Locals, ModelSize};
 use locals::{Surveyed, survey};
-use memory::TILE_SPLATS_MAX;
+use memory::{TILE_SPLATS_MAX, check_models};
 use observed::Observed;
 use plan::ball;
 pub use results::{TileRecord, keep_only};
@@ -202,6 +202,7 @@ fn merge_in_tiles(
     tell: &mut dyn FnMut(MergeProgress) -> ControlFlow<()>,
 ) -> Result<MergedFile, MergeError> {
     let _span = info_span!("merge", models = locals.count()).entered();
+    check_models(locals, 1, settings.memory_bytes)?;
     let surveyed = survey(locals)?;
     let splats = surveyed.sizes.iter().sum();
     let device = computer::choose(settings, splats, surveyed.sh_degree, &surveyed.cameras)?;

@@ -12,7 +12,7 @@ use clap::Args;
 use cosurf_aggregator::gate::{Place, Workspace, admit};
 use cosurf_aggregator::georeference::{common_georeference, write_georeference};
 use cosurf_aggregator::merge::{
-    LocalSummary, Locals, MergeError, MergeProgress, MergeSettings, MergeSummary, MergedFile, Resources,
+    LocalSummary, Locals, MergeError, MergeProgress, MergeSettings, MergeSummary, MergedFile, ModelSize, Resources,
     Tiles, UNPROVEN_TOLD, Workers, keep_only, merge_to_file,
 };
 use cosurf_aggregator::queue::Queue;
@@ -117,6 +117,11 @@ impl Locals for Folders<'_> {
         self.folders.len()
     }
 
+    fn size(&self, index: usize) -> Result<ModelSize, MergeError> {
+        let (splats, sh_degree) = ply::size(&ply::of_model(&self.folders[index])?)?;
+        Ok(ModelSize { splats, sh_degree })
+    }
+
     fn load(&self, index: usize) -> Result<Model, MergeError> {
         let folder = &self.folders[index];
         let splats = ply::read(&ply::of_model(folder)?, &self.frame)?;
@@ -151,20 +156,15 @@ pub(crate) fn run(args: &MergeArgs) -> Result<()> {
     let resources = Resources { scratch: &args.out, tiles, threads };
     let georeference = common_georeference(&args.models)?;
     let folders = Folders::open(&args.models)?;
-    let admitted =
-        admit(&folders, (&settings).into(), Workspace::of(&settings, &args.out, threads), &|| false)?;
     let names: Vec<String> = args.models.iter().map(|folder| folder.display().to_string()).collect();
+    let workspace = Workspace::of(&settings, &args.out, threads);
+    let admitted = admit(&folders, (&settings).into(), workspace, &|| false)
+        .map_err(|error| named(error, |local| &names[local]))?;
     let kept_out: Vec<String> =
         admitted.kept_out(&names).map(|(i, why)| format!("{} {why}", names[i])).collect();
     ensure!(admitted.count() > 0, "nothing to merge: {}", kept_out.join("; "));
-    let merged = merge_to_file(&admitted, &settings, resources, &mut tell).map_err(|error| match &error {
-        MergeError::PicturesTooLarge { locals, .. } => {
-            let whose: Vec<&str> =
-                locals.iter().map(|local| names[admitted.place(*local).local].as_str()).collect();
-            anyhow::Error::from(error).context(whose.join(", "))
-        }
-        _ => error.into(),
-    })?;
+    let merged = merge_to_file(&admitted, &settings, resources, &mut tell)
+        .map_err(|error| named(error, |local| &names[admitted.place(local).local]))?;
     write(&args.out, &merged, &folders.frame)?;
     write_georeference(georeference.as_ref(), &args.out)?;
     if let Some(results) = &results {
@@ -233,6 +233,17 @@ pub(crate) fn run(args: &MergeArgs) -> Result<()> {
     writeln!(stdout, "{joined} joined, {splats} after {steps}, in {seconds:.1} s ({device})")?;
     writeln!(stdout, "{}", args.out.join("global.ply").display())?;
     Ok(())
+}
+
+/// The error, with the names of the models that it is about. `name` has that of the model at an index.
+fn named<'a>(error: MergeError, name: impl Fn(usize) -> &'a String) -> anyhow::Error {
+    let whose = match &error {
+        MergeError::PicturesTooLarge { locals, .. } | MergeError::ModelsTooLarge { locals, .. } => {
+            locals.iter().map(|local| name(*local).as_str()).collect::<Vec<_>>().join(", ")
+        }
+        _ => return error.into(),
+    };
+    anyhow::Error::from(error).context(whose)
 }
 
 /// Writes the global model, which is in `frame`, and its world cameras.

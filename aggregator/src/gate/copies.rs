@@ -5,7 +5,7 @@ use cosurf_link::Model;
 
 use super::doubt::Doubt;
 use super::extent::Extent;
-use crate::merge::{Locals, MergeError};
+use crate::merge::{Locals, MergeError, ModelSize};
 
 /// For each model, the index of the first model with the same splats and cameras: its own, unless it is a copy.
 fn originals(extents: &[Option<Extent>]) -> Vec<usize> {
@@ -60,6 +60,10 @@ impl<'a> Kept<'a> {
 impl Locals for Kept<'_> {
     fn count(&self) -> usize {
         self.indices.len()
+    }
+
+    fn size(&self, index: usize) -> Result<ModelSize, MergeError> {
+        self.locals.size(self.indices[index])
     }
 
     fn load(&self, index: usize) -> Result<Model, MergeError> {

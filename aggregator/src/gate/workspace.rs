@@ -13,7 +13,7 @@ pub struct Workspace<'a> {
     /// Number of CPU threads, at least 1.
     pub threads: usize,
     /// Limit on the bytes that the process takes. It decides how many models are compared at once, and does not change
-    /// the result. The gate takes what two models need, even if that is more.
+    /// the result. Models of which not even two fit are refused.
     pub memory_bytes: u64,
 }
 

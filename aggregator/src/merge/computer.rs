@@ -28,7 +28,8 @@ impl Computer {
             Err(
                 MergeError::Device(_)
                 | MergeError::TooLittleMemory { .. }
-                | MergeError::PicturesTooLarge { .. },
+                | MergeError::PicturesTooLarge { .. }
+                | MergeError::ModelsTooLarge { .. },
             ) if choice == DeviceChoice::Auto && self.device.is_gpu() => {
                 work(&Self { device: Device::Cpu, ..self })
             }

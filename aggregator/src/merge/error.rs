@@ -26,8 +26,8 @@ pub enum MergeError {
     /// The device is not available, or failed during the merge.
     #[error(transparent)]
     Device(#[from] DeviceError),
-    /// The memory limit is too small for one tile of the ground.
-    #[error("a memory limit of {memory_bytes} bytes is too small; this merge needs at least {needed_bytes} (--memory {}MiB, or merge_memory in aggregator.toml)", needed_bytes.div_ceil(1 << 20))]
+    /// The memory limit is too small for one tile of the ground, or for every model.
+    #[error("a memory limit of {} MiB is too small; this merge needs at least {1} MiB (--memory {1}MiB, or merge_memory in aggregator.toml)", memory_bytes >> 20, needed_bytes.div_ceil(1 << 20))]
     TooLittleMemory {
         /// The memory limit, bytes.
         memory_bytes: u64,
@@ -35,13 +35,23 @@ pub enum MergeError {
         needed_bytes: u64,
     },
     /// The memory limit is too small for the pictures of some models, whatever else is merged.
-    #[error("a memory limit of {memory_bytes} bytes is too small for the largest pictures; they need at least {needed_bytes} (--memory {}MiB, or merge_memory in aggregator.toml)", needed_bytes.div_ceil(1 << 20))]
+    #[error("a memory limit of {} MiB is too small for the largest pictures; they need at least {1} MiB (--memory {1}MiB, or merge_memory in aggregator.toml)", memory_bytes >> 20, needed_bytes.div_ceil(1 << 20))]
     PicturesTooLarge {
         /// Indices of the models, ascending.
         locals: Vec<usize>,
         /// The memory limit, bytes.
         memory_bytes: u64,
         /// A limit that is sufficient for the pictures, bytes.
+        needed_bytes: u64,
+    },
+    /// The memory limit is too small for some models.
+    #[error("a memory limit of {} MiB is too small for the largest models; they need at least {1} MiB (--memory {1}MiB, or merge_memory in aggregator.toml)", memory_bytes >> 20, needed_bytes.div_ceil(1 << 20))]
+    ModelsTooLarge {
+        /// Indices of the models, ascending.
+        locals: Vec<usize>,
+        /// The memory limit, bytes.
+        memory_bytes: u64,
+        /// A limit that is sufficient for the models, bytes.
         needed_bytes: u64,
     },
     /// The queue of tiles for workers is not available.

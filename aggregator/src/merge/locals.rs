@@ -6,10 +6,26 @@ use cosurf_scene::Camera;
 
 use super::error::MergeError;
 
+/// How large a model is.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub struct ModelSize {
+    /// Number of splats.
+    pub splats: usize,
+    /// Degree of spherical harmonics, 0 to 3.
+    pub sh_degree: u32,
+}
+
 /// Local models in a fixed order, loaded when they are needed.
 pub trait Locals: Sync {
     /// Number of models.
     fn count(&self) -> usize;
+
+    /// The size of the model at `index`, which is asked for before anything is loaded: whoever can tell without loading
+    /// the model should.
+    fn size(&self, index: usize) -> Result<ModelSize, MergeError> {
+        let Model { splats, .. } = self.load(index)?;
+        Ok(ModelSize { splats: splats.len(), sh_degree: splats.sh_degree })
+    }
 
     /// Loads the model at `index`.
     fn load(&self, index: usize) -> Result<Model, MergeError>;
@@ -34,6 +50,11 @@ pub struct InMemory(pub Vec<Model>);
 impl Locals for InMemory {
     fn count(&self) -> usize {
         self.0.len()
+    }
+
+    fn size(&self, index: usize) -> Result<ModelSize, MergeError> {
+        let Model { splats, .. } = &self.0[index];
+        Ok(ModelSize { splats: splats.len(), sh_degree: splats.sh_degree })
     }
 
     fn load(&self, index: usize) -> Result<Model, MergeError> {

@@ -8,6 +8,7 @@ use cosurf_engine::{Capacity, Device};
 use cosurf_scene::{Camera, Splats};
 
 use super::error::MergeError;
+use super::locals::Locals;
 
 /// Largest number of tiles that are distilled at once on a graphics card. A card would often wait for the processor with a
 /// single tile: with 1, 2, 4 and 8 at once, a merge of rendered Boruszyn takes 15.7, 12.4, 11.9 and 11.8 s on an H200.
@@ -73,6 +74,26 @@ pub(super) fn check_pictures(
     Err(MergeError::PicturesTooLarge { locals, memory_bytes, needed_bytes })
 }
 
+/// An error if some models alone take more memory than a merge may. `held` of them are in memory at a time, 1 or 2.
+pub(crate) fn check_models(locals: &dyn Locals, held: usize, memory_bytes: u64) -> Result<(), MergeError> {
+    let bytes = |index| locals.size(index).map(|size| rendered_bytes(size.splats, size.sh_degree));
+    let each = (0..locals.count()).map(bytes).collect::<Result<Vec<u64>, MergeError>>()?;
+    let mut largest = each.clone();
+    largest.sort_unstable_by(|a, b| b.cmp(a));
+    largest.truncate(held);
+    let needed_bytes = PROCESS_BYTES + largest.iter().sum::<u64>();
+    if needed_bytes <= memory_bytes {
+        return Ok(());
+    }
+    let share = memory_bytes.saturating_sub(PROCESS_BYTES) / largest.len().max(1) as u64;
+    let too_large: Vec<usize> = (0..each.len()).filter(|index| each[*index] > share).collect();
+    // If all are too large, the limit is wrong rather than a model.
+    Err(match too_large.len() < each.len() {
+        true => MergeError::ModelsTooLarge { locals: too_large, memory_bytes, needed_bytes },
+        false => MergeError::TooLittleMemory { memory_bytes, needed_bytes },
+    })
+}
+
 /// Bytes that the planning of a tile takes: its splats, and as much again for what cameras observed and plan.
 pub(super) fn planning_bytes(sh_degree: u32) -> u64 {
     (2 * TILE_SPLATS_MAX * loaded_bytes(sh_degree)) as u64
@@ -130,7 +151,41 @@ pub(super) fn at_once(
 #[cfg(test)]
 mod tests {
     #![allow(clippy::unwrap_used)]
+    use cosurf_link::Model;
+
     use super::*;
+    use crate::merge::ModelSize;
+
+    #[test]
+    fn models_that_do_not_fit_are_named_before_any_is_loaded() {
+        /// Models with so many splats, which cannot be loaded.
+        struct Sizes(&'static [usize]);
+        impl Locals for Sizes {
+            fn count(&self) -> usize {
+                self.0.len()
+            }
+            fn size(&self, index: usize) -> Result<ModelSize, MergeError> {
+                Ok(ModelSize { splats: self.0[index], sh_degree: 2 })
+            }
+            fn load(&self, _: usize) -> Result<Model, MergeError> {
+                unreachable!("nothing is loaded")
+            }
+        }
+        let with = |sizes: &'static [usize], held: usize, splats: usize| {
+            check_models(&Sizes(sizes), held, PROCESS_BYTES + rendered_bytes(splats, 2))
+        };
+        with(&[10, 30, 20], 1, 30).unwrap();
+        with(&[10, 30, 20], 2, 50).unwrap();
+        let Err(MergeError::ModelsTooLarge { locals, needed_bytes, .. }) = with(&[10, 30, 20], 2, 49) else {
+            panic!("two models do not fit")
+        };
+        assert_eq!((locals, needed_bytes), (vec![1], PROCESS_BYTES + rendered_bytes(50, 2)));
+        let refused = with(&[30, 30], 2, 50);
+        assert!(matches!(refused, Err(MergeError::TooLittleMemory { .. })), "{refused:?}");
+        let refused = check_models(&Sizes(&[30]), 2, PROCESS_BYTES);
+        assert!(matches!(refused, Err(MergeError::TooLittleMemory { .. })), "{refused:?}");
+        with(&[], 2, 0).unwrap();
+    }
 
     #[test]
     fn as_many_tiles_are_distilled_at_once_as_fit() {

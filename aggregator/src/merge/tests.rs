@@ -207,7 +207,11 @@ fn too_little_memory_is_refused_with_the_remedy() {
         panic!("{refused:?}")
     };
     assert!(error.to_string().contains("--memory"), "{error}");
-    let enough = MergeSettings { memory_bytes: needed_bytes, epochs: 1, ..settings };
+    // What the tiles need is known later than what the models need.
+    let for_models = MergeSettings { memory_bytes: needed_bytes, epochs: 1, ..settings };
+    let refused = try_to_run(&neighbours(), &for_models, 1, &mut |_| ControlFlow::Continue(()));
+    let Err(MergeError::TooLittleMemory { needed_bytes, .. }) = refused else { panic!("{refused:?}") };
+    let enough = MergeSettings { memory_bytes: needed_bytes, ..for_models };
     assert_eq!(run(&neighbours(), &enough, 1).summary.locals.len(), 2);
 }
 

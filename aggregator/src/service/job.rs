@@ -19,7 +19,7 @@ use super::record::{Fitted, KeptOut, Verdict};
 use super::trial::Watch;
 use crate::gate::{Workspace, admit, admit_part};
 use crate::merge::{
-    Locals, MergeError, MergeProgress, MergeSettings, Merged, Resources, Tiles, Workers, fill_in, merge,
+    Locals, MergeError, MergeProgress, MergeSettings, Merged, ModelSize, Resources, Tiles, Workers, fill_in, merge,
 };
 use crate::queue::Queue;
 use crate::store::Store;
@@ -86,10 +86,11 @@ struct Round {
 /// What came of an attempt to merge.
 enum Attempt {
     Over(Box<Outcome>),
-    /// The pictures of the models with these indices are too large for the memory of the merge.
+    /// The models with these indices are too large for the memory of the merge.
     TooLarge {
         locals: Vec<usize>,
-        needed_bytes: u64,
+        /// What is too large about them, and what to do.
+        reason: String,
     },
 }
 
@@ -99,8 +100,13 @@ impl Round {
         let Self { parts, frame, settings, scratch, work, threads, say, say_trouble, stop } = self;
         let threads = *threads;
         let is_stopped = || stop.load(Ordering::Relaxed);
-        let admitted =
-            admit(stored, settings.into(), Workspace::of(settings, scratch, threads), &is_stopped)?;
+        let workspace = Workspace::of(settings, scratch, threads);
+        let admitted = match admit(stored, settings.into(), workspace, &is_stopped) {
+            Err(MergeError::ModelsTooLarge { locals, needed_bytes, .. }) => {
+                return Ok(Attempt::TooLarge { locals, reason: Excess::Splats.reason(needed_bytes) });
+            }
+            admitted => admitted?,
+        };
         let mut verdict = Verdict::of(&admitted, &stored.headers, frame);
         if admitted.count() == 0 {
             return Ok(Attempt::Over(Box::new(Outcome { made: None, verdict })));
@@ -115,7 +121,7 @@ impl Round {
         let mut merged = match merged {
             Err(MergeError::PicturesTooLarge { locals, needed_bytes, .. }) => {
                 let locals = locals.into_iter().map(|place| admitted.place(place).local).collect();
-                return Ok(Attempt::TooLarge { locals, needed_bytes });
+                return Ok(Attempt::TooLarge { locals, reason: Excess::Pictures.reason(needed_bytes) });
             }
             merged => merged?,
         };
@@ -135,6 +141,24 @@ impl Round {
         });
         let made = Some(Made { merged, frame: *frame, body, cut: cut.transpose()? });
         Ok(Attempt::Over(Box::new(Outcome { made, verdict })))
+    }
+}
+
+/// What takes too much memory about a model.
+enum Excess {
+    Splats,
+    Pictures,
+}
+
+impl Excess {
+    /// Why the model is left out, and what to do. `needed_bytes` would suffice.
+    fn reason(self, needed_bytes: u64) -> String {
+        let (what, less) = match self {
+            Self::Splats => ("more splats than fit into", "with less memory"),
+            Self::Pictures => ("pictures that are too large for", "on smaller pictures"),
+        };
+        let needed_mib = needed_bytes.div_ceil(1 << 20);
+        format!("has {what} the memory of merges: raise merge_memory to {needed_mib} MiB, or train it {less}")
     }
 }
 
@@ -196,15 +220,10 @@ impl Stored {
         self.headers.iter().map(frame).collect()
     }
 
-    /// Leaves out the models at these indices, because merging their pictures takes too much memory.
-    fn leave_out(&mut self, locals: &[usize], needed_bytes: u64) -> Vec<KeptOut> {
-        let needed_mib = needed_bytes.div_ceil(1 << 20);
-        let reason = format!(
-            "has pictures that are too large for the memory of merges: raise merge_memory to {needed_mib} MiB, or \
-             train it on smaller pictures"
-        );
+    /// Leaves out the models at these indices for this reason.
+    fn leave_out(&mut self, locals: &[usize], reason: &str) -> Vec<KeptOut> {
         let left_out =
-            locals.iter().map(|local| KeptOut::new(&self.headers[*local], reason.clone())).collect();
+            locals.iter().map(|local| KeptOut::new(&self.headers[*local], reason.to_owned())).collect();
         let is_left = |index: usize| !locals.contains(&index);
         self.headers = (0..self.count()).filter(|i| is_left(*i)).map(|i| self.headers[i]).collect();
         left_out
@@ -242,6 +261,11 @@ impl Stored {
 impl Locals for Stored {
     fn count(&self) -> usize {
         self.headers.len()
+    }
+
+    fn size(&self, index: usize) -> Result<ModelSize, MergeError> {
+        let ModelHeader { splats, sh_degree, .. } = self.headers[index];
+        Ok(ModelSize { splats: splats as usize, sh_degree: sh_degree.into() })
     }
 
     fn load(&self, index: usize) -> Result<Model, MergeError> {
@@ -285,8 +309,8 @@ impl Job {
                         outcome.verdict.keep_out(left_out);
                         return Ok(*outcome);
                     }
-                    Attempt::TooLarge { locals, needed_bytes } => {
-                        left_out.extend(stored.leave_out(&locals, needed_bytes));
+                    Attempt::TooLarge { locals, reason } => {
+                        left_out.extend(stored.leave_out(&locals, &reason));
                     }
                 }
             }
