@@ -5,10 +5,10 @@ use std::path::Path;
 
 use anyhow::Result;
 use cosurf_contract::TrainReport;
-use cosurf_scene::{Camera, LocalFrame, Splats, atomic, camera_list, ply};
+use cosurf_scene::{Camera, LocalFrame, Splats, atomic, camera_list, files, ply};
 use serde::Serialize;
 
-/// Writes all three files into `out`, each one atomically. `frame` is that of the splats and cameras; the files hold the
+/// Writes all three files into `out`, each one atomically. A folder of such a name is set aside. `frame` is that of the splats and cameras; the files hold the
 /// frame's origin and world cameras.
 pub fn write(
     out: &Path,
@@ -17,10 +17,15 @@ pub fn write(
     frame: &LocalFrame,
     report: &TrainReport,
 ) -> Result<()> {
-    ply::write(&out.join("model.ply"), splats, frame)?;
+    let [model, camera_list, report_file] =
+        ["model.ply", camera_list::FILE, "report.json"].map(|name| out.join(name));
+    for path in [&model, &camera_list, &report_file] {
+        files::set_aside_unless_file(path)?;
+    }
+    ply::write(&model, splats, frame)?;
     let cameras: Vec<Camera> = cameras.iter().map(|camera| frame.world_camera(camera)).collect();
-    camera_list::write(&out.join(camera_list::FILE), &cameras)?;
-    write_json(&out.join("report.json"), report)
+    camera_list::write(&camera_list, &cameras)?;
+    write_json(&report_file, report)
 }
 
 /// Writes a value as indented JSON, atomically.

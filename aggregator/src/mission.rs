@@ -33,6 +33,7 @@ use cosurf_wire::{ModelHeader, SiteId};
 use crate::broker::{Broker, Reach, local_address};
 use crate::evaluate::{Judge, Quality, Yardsticks};
 use crate::georeference::{common_georeference, write_georeference};
+use crate::merge::memory::least_bytes;
 use crate::outputs::{Relief, client, relief};
 use crate::report::{Drawings, EdgeSummary, MissionReport, Showcase, page, showcases};
 use crate::service::{Merging, global_ply, write_joined};
@@ -69,6 +70,7 @@ pub fn fly(order: &MissionOrder, around: &Surroundings) -> Result<MissionReport,
     let fresh_site = SiteId::new(&format!("mission-{}", around.session))?;
     let plan = Plan::make(&dataset, &order.settings, &order.out, fresh_site)?;
     dataset.points = Vec::new(); // only agents need them
+    check_memory(&dataset, &order.settings)?;
     let Gathered { global, board, edges } = gather(order, around, &plan)?;
     let scene = Scene { dataset: dataset.into_frame(&frame), frame };
     let relief = mesh(order, around, &scene)?;
@@ -93,6 +95,19 @@ pub fn fly(order: &MissionOrder, around: &Surroundings) -> Result<MissionReport,
     let (cells, views, showcases) = (&plan.cells, &plan.views, &evaluation.showcases);
     write_report(&order.out, &report, &Drawings { client: &client, cells, views, showcases })?;
     Ok(report)
+}
+
+/// Fails before the training if no merge of the agents' models will be possible within the memory for merges.
+fn check_memory(dataset: &Dataset, settings: &Settings) -> Result<(), MissionError> {
+    let shrunk = |view: &View| {
+        let long_side_px = view.camera.size_px[0].max(view.camera.size_px[1]);
+        view.camera.fitted(long_side_px.min(settings.max_size_px.unwrap_or(u32::MAX)))
+    };
+    let needed_bytes = least_bytes(dataset.views.iter().map(shrunk));
+    match settings.merge.memory_bytes < needed_bytes {
+        true => Err(MissionError::LittleMergeMemory { needed_bytes }),
+        false => Ok(()),
+    }
 }
 
 /// The results of agents and aggregators.

@@ -71,6 +71,16 @@ impl Drop for Agent {
     }
 }
 
+/// A running aggregator. It is killed when this value is dropped.
+struct Ground(Child);
+
+impl Drop for Ground {
+    fn drop(&mut self) {
+        let _ = self.0.kill();
+        let _ = self.0.wait();
+    }
+}
+
 /// Writes a city and the configuration of an agent, unless the city is there. Removes what an earlier agent wrote.
 fn prepare(folder: &Path, connection: &str, steps: u32) {
     let data = folder.join("data");
@@ -116,6 +126,7 @@ fn a_wrong_port_host_or_serial_device_is_told_before_the_training() {
         (format!("broker = \"mqtt://{web}\""), "no MQTT broker"),
         (format!("broker = \"mqtts://{web}\""), "mqtt://"),
         ("serial = \"/dev/no-radio\"".into(), "/dev/no-radio"),
+        ("serial = \"agent.toml\"".into(), "is no serial port"),
     ];
     for (connection, told) in cases {
         Agent::start(folder.path(), &connection, 100_000).tells(told);
@@ -152,7 +163,7 @@ fn a_wrong_certificate_or_password_is_told_before_the_training() {
     let cases = [
         (with_tls(port, &late), "has expired"),
         (with_tls(port, &foreign), "the broker's own authority"),
-        (with_tls(port, &foreign_ca), "TLS"),
+        (with_tls(port, &foreign_ca), "does not come from this authority"),
         (with_tls(port, &bare), "certificate"),
         (with_tls(port, &other_name), "its name must be that of its certificate"),
         (format!("broker = \"mqtt://127.0.0.1:{port}\""), "mqtts://"),
@@ -289,6 +300,16 @@ fn preflight_tells_whether_a_flight_can_begin() {
     let folder = tempfile::tempdir().unwrap();
     let Some(broker) = Mosquitto::start(folder.path(), PLAIN, false) else { return };
     let free = TcpListener::bind("127.0.0.1:0").unwrap().local_addr().unwrap();
+    let aggregate = |site: &str| {
+        let text = format!("site = \"{site}\"\nout = \"ground\"\nbroker = \"{}\"\n", broker.address);
+        fs::write(folder.path().join("aggregator.toml"), text).unwrap();
+        let mut command = Command::new(program("cosurf-aggregator"));
+        let command = command.args(["run", "--json"]).current_dir(folder.path());
+        let mut child = command.stdout(Stdio::piped()).spawn().unwrap();
+        let mut lines = BufReader::new(child.stdout.take().unwrap()).lines().map_while(Result::ok);
+        assert!(lines.any(|line| line.contains("connected")));
+        Ground(child)
+    };
     let preflight = |connection: &str| {
         prepare(folder.path(), connection, 100);
         let mut command = Command::new(program("cosurf-agent"));
@@ -297,7 +318,15 @@ fn preflight_tells_whether_a_flight_can_begin() {
         let output = output.unwrap();
         (output.status.success(), String::from_utf8_lossy(&output.stderr).into_owned())
     };
-    let (is_ready, told) = preflight(&format!("broker = \"mqtt://127.0.0.1:{}\"", broker.address.port));
+    let at_broker = format!("broker = \"mqtt://127.0.0.1:{}\"", broker.address.port);
+    let (is_ready, told) = preflight(&at_broker);
+    assert!(!is_ready && told.contains("no aggregator of the site site answers drone"), "{told}");
+    let elsewhere = aggregate("another-site");
+    let (is_ready, told) = preflight(&at_broker);
+    assert!(!is_ready && told.contains("check `site`"), "{told}");
+    drop(elsewhere);
+    let _here = aggregate("site");
+    let (is_ready, told) = preflight(&at_broker);
     assert!(is_ready && told.contains("ready: 7 training views of 96 x 72 px, 1 held out"), "{told}");
     assert!(!folder.path().join("out/model.ply").exists(), "it has trained");
     let (is_ready, told) = preflight(&format!("broker = \"mqtt://{free}\""));

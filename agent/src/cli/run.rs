@@ -52,7 +52,7 @@ struct JobArgs {
 }
 
 /// Check before a flight all that `run` needs, without training: the configuration, the pictures, memory and disk, the
-/// device to train on, and the way to the aggregator. Fails if anything is wrong.
+/// device to train on, and that the aggregator answers. Fails if anything is wrong.
 #[derive(Args, Debug)]
 pub(super) struct PreflightArgs {
     #[command(flatten)]
@@ -64,10 +64,17 @@ pub(super) fn preflight(PreflightArgs { job: args }: &PreflightArgs) -> Result<(
     let _lock = FolderLock::take(&job.config.out, "cosurf-agent preflight")?;
     let board = StatusBoard::new(job.config.steps);
     let mut progress = Progress::new(args.json);
-    let begun_with = choice::begun_with(&job.config.out);
-    let reporter = job.connect(begun_with, &board, &mut progress)?;
+    let (reporter, answer) = job.ask(true, &board, &mut progress)?;
+    let is_answered = answer.is_some();
+    job.follow_plan(choice::begun_with(&job.config.out), answer, &mut progress)?;
     let report = train::prepare(&job.plan, &job.config.out)?;
     ensure!(reporter.is_well(), "the aggregator cannot be reached as configured; the lines above tell why");
+    let Job { config: AgentConfig { site, .. }, device, .. } = &job;
+    ensure!(
+        is_answered,
+        "no aggregator of the site {site} answers {device}: check `site`, that the aggregator runs at this broker, and that \
+         its list of trusted keys has this device's `key`"
+    );
     progress.show(&AgentEvent::Ready { report });
     Ok(())
 }
@@ -161,18 +168,22 @@ impl Job {
         board: &StatusBoard,
         progress: &mut Progress,
     ) -> Result<Reporter> {
-        let identity = self.identity()?;
-        let connection = self.route.connect_reporting(identity, self.credentials.key.as_ref());
-        let (reporter, answer) = Reporter::start(
-            identity,
-            self.credentials.clone(),
-            connection,
-            self.board(board),
-            begun_with.is_none(),
-            progress,
-        );
+        let (reporter, answer) = self.ask(begun_with.is_none(), board, progress)?;
         self.follow_plan(begun_with, answer, progress)?;
         Ok(reporter)
+    }
+
+    /// Connects. If the agent `asks` for its cell, also returns the answer, unless none arrived in time.
+    fn ask(
+        &self,
+        asks: bool,
+        board: &StatusBoard,
+        progress: &mut Progress,
+    ) -> Result<(Reporter, Option<Answer>)> {
+        let identity = self.identity()?;
+        let connection = self.route.connect_reporting(identity, self.credentials.key.as_ref());
+        let (credentials, board) = (self.credentials.clone(), self.board(board));
+        Ok(Reporter::start(identity, credentials, connection, board, asks, progress))
     }
 
     /// Chooses pictures and frame by what an earlier run has begun with, or else by the answer of the aggregator.

@@ -12,8 +12,8 @@ use clap::Args;
 use cosurf_aggregator::gate::{Place, Workspace, admit};
 use cosurf_aggregator::georeference::{common_georeference, write_georeference};
 use cosurf_aggregator::merge::{
-    LocalSummary, Locals, MergeError, MergeProgress, MergeSettings, MergeSummary, MergedFile, ModelSize, Resources,
-    Tiles, UNPROVEN_TOLD, Workers, keep_only, merge_to_file,
+    LocalSummary, Locals, MergeError, MergeProgress, MergeSettings, MergeSummary, MergedFile, ModelSize,
+    Resources, Tiles, UNPROVEN_TOLD, Workers, keep_only, merge_to_file,
 };
 use cosurf_aggregator::queue::Queue;
 use cosurf_aggregator::service::{FitRecord, Fitted};

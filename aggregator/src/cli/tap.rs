@@ -15,6 +15,7 @@ use cosurf_link::mqtt::traffic::{self, ReplaySettings, TrafficError};
 use cosurf_link::recording::Recording;
 use cosurf_link::{BrokerAddress, Faults, Login, Tls, TlsFiles};
 use cosurf_scene::SceneError;
+use cosurf_scene::bytes::format_bytes;
 
 /// Options that name a broker and the files for TLS.
 #[derive(Args)]
@@ -57,8 +58,8 @@ impl BrokerArgs {
 
 /// Record a broker's messages to a file, until stopped with Ctrl-C.
 ///
-/// The file holds the time, topic, QoS, retain flag and payload of every message. If the file was cut off, it can be
-/// read up to its last complete message.
+/// The file holds the time, topic, QoS, retain flag and payload of every message. Damage costs the messages that it hit, and
+/// a cut the last one; the others can be replayed.
 #[derive(Args)]
 pub(crate) struct RecordArgs {
     /// File to write, which must not exist yet
@@ -137,7 +138,7 @@ pub(crate) fn replay(args: &ReplayArgs) -> Result<()> {
         ..Faults::NONE
     };
     let settings = ReplaySettings { speed: args.speed, faults, seed: args.seed };
-    let count = traffic::replay(
+    let (count, lost) = traffic::replay(
         &args.broker.broker,
         tls.as_ref(),
         args.broker.login()?.as_ref(),
@@ -146,6 +147,14 @@ pub(crate) fn replay(args: &ReplayArgs) -> Result<()> {
         &stop,
     )
     .map_err(|error| explain(error, &args.file))?;
+    if lost.places > 0 {
+        let (bytes, places) = (format_bytes(lost.bytes), counted(lost.places, "place"));
+        writeln!(
+            io::stderr(),
+            "{}: {bytes} at {places} are damaged or cut off; the messages there are left out",
+            args.file.display()
+        )?;
+    }
     print("replayed", count, args.json)
 }
 

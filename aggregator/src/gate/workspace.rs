@@ -5,6 +5,10 @@ use std::path::Path;
 use crate::merge::MergeSettings;
 use crate::merge::shifts::Shifts;
 
+/// Bytes of the pictures that a job keeps beside its models. Measured: two jobs with models of 59,000 splats each take
+/// 19 MiB more than the models do.
+const PICTURES_BYTES: u64 = 12 << 20;
+
 /// What the gate may use.
 #[derive(Clone, Copy, Debug)]
 pub struct Workspace<'a> {
@@ -23,8 +27,8 @@ impl<'a> Workspace<'a> {
         Self { scratch, threads, memory_bytes: settings.memory_bytes }
     }
 
-    /// How jobs that take up to `job_bytes` each are shared among the threads.
-    pub(super) fn shifts(&self, job_bytes: u64) -> Shifts {
-        Shifts::of(job_bytes, self.memory_bytes, self.threads)
+    /// How jobs whose models take up to `models_bytes` each are shared among the threads.
+    pub(super) fn shifts(&self, models_bytes: u64) -> Shifts {
+        Shifts::of(models_bytes + PICTURES_BYTES, self.memory_bytes, self.threads)
     }
 }

@@ -44,6 +44,13 @@ pub(super) fn lesson_bytes(device: &Device, sh_degree: u32, camera: &Camera) -> 
     student_bytes(device, &shape, 0).max(teacher_bytes(device, &shape, 0, 1))
 }
 
+/// A limit below which no merge of models with these cameras is possible, however few splats the models have, bytes.
+pub(crate) fn least_bytes(cameras: impl Iterator<Item = Camera>) -> u64 {
+    let largest =
+        cameras.max_by_key(|camera| camera.size_px.iter().map(|side| u64::from(*side)).product::<u64>());
+    PROCESS_BYTES + largest.map_or(0, |camera| lesson_bytes(&Device::Cpu, 0, &camera))
+}
+
 /// Bytes of a picture of this size in which useless splats are looked for.
 pub(super) fn survey_bytes(device: &Device, camera: &Camera) -> u64 {
     let to_render = Capacity::to_render(0);

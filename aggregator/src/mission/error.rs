@@ -60,6 +60,12 @@ pub enum MissionError {
         /// The last error of the connection.
         reason: String,
     },
+    /// The memory for merges is too small for the pictures.
+    #[error("the memory for merges is too small for pictures of this size: allow at least {0} MiB (--merge-memory {0}MiB), or use smaller pictures (--max-size)", needed_bytes.div_ceil(1 << 20))]
+    LittleMergeMemory {
+        /// A limit below which no merge is possible, bytes.
+        needed_bytes: u64,
+    },
     /// The aggregator cannot write to its disk, or has too little memory for a merge.
     #[error("{reason}; models that arrived before are kept: mend this, then run the same command again")]
     Disk {

@@ -242,7 +242,9 @@ fn open_record(settings: &Settings, out: &Path, fresh_site: SiteId) -> Result<Si
     match fs::read(&path) {
         Ok(bytes) => {
             let record: Record = serde_json::from_slice(&bytes).map_err(|error| bad(error.to_string()))?;
-            if record.settings != *settings {
+            // More memory for merges changes no result.
+            let merge = MergeSettings { memory_bytes: settings.merge.memory_bytes, ..record.settings.merge };
+            if (Settings { merge, ..record.settings.clone() }) != *settings {
                 let what = difference(&record.settings, settings);
                 return Err(PlanError::OtherMission { out: out.to_path_buf(), what });
             }

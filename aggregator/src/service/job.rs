@@ -19,7 +19,8 @@ use super::record::{Fitted, KeptOut, Verdict};
 use super::trial::Watch;
 use crate::gate::{Workspace, admit, admit_part};
 use crate::merge::{
-    Locals, MergeError, MergeProgress, MergeSettings, Merged, ModelSize, Resources, Tiles, Workers, fill_in, merge,
+    Locals, MergeError, MergeProgress, MergeSettings, Merged, ModelSize, Resources, Tiles, Workers, fill_in,
+    merge,
 };
 use crate::queue::Queue;
 use crate::store::Store;

@@ -76,8 +76,9 @@ fn a_recorded_mission_gives_the_same_global_model() {
             let recording = Recording::open(BufReader::new(File::open(&file).unwrap())).unwrap();
             let settings = ReplaySettings { speed, faults, seed: 1 };
             let stop = AtomicBool::new(false);
-            let sent = replay(&address, None, None, recording, &settings, &stop).unwrap();
+            let (sent, lost) = replay(&address, None, None, recording, &settings, &stop).unwrap();
             println!("{name}: {sent} messages");
+            assert_eq!(lost.places, 0);
         });
         assert!(again == first, "{name}: another global model");
     }

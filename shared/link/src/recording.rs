@@ -2,8 +2,9 @@
 //!
 //! The file begins with [`MAGIC`]. An entry contains, little-endian: microseconds since the previous entry
 //! (`u32`), flags (`u8`: bit 0 is the retain flag, bits 1 and 2 are the QoS), size of the topic (`u16`), size
-//! of the payload (`u32`), topic, payload, CRC-32 of these bytes (`u32`). If a kill or a power cut has
-//! truncated a recording, reading ends after the last whole entry.
+//! of the payload (`u32`), topic, payload, CRC-32 of these bytes (`u32`). Bytes that are no whole entry are passed over, as
+//! far as the next place at which one begins: a damaged disk costs the entries that it damaged, and a kill or a power cut
+//! the last one. [`Recording::lost`] tells how many bytes were passed over.
 
 use std::io::{self, Read, Write};
 use std::time::Duration;
@@ -19,6 +20,9 @@ const TOPIC_BYTES_MAX: usize = 4 * MAX_TOPIC_BYTES;
 /// the broker fit too.
 const PAYLOAD_BYTES_MAX: usize = 4 * MAX_MESSAGE_BYTES;
 const HEAD_BYTES: usize = 4 + 1 + 2 + 4;
+const CHECKSUM_BYTES: usize = 4;
+/// Number of bytes that are read at once, at least.
+const READ_AHEAD_BYTES: usize = 1 << 16;
 
 /// A recorded message.
 #[derive(Clone, Debug, PartialEq, Eq)]
@@ -45,9 +49,6 @@ pub enum RecordingError {
     /// The file is not a recording, or it has another format version.
     #[error("not a recording of this version: make one with `cosurf-aggregator record`")]
     NotARecording,
-    /// An entry is damaged.
-    #[error("entry {0} is damaged; the entries before it are intact")]
-    Damaged(u64),
 }
 
 /// Writes a recording.
@@ -94,12 +95,26 @@ impl<W: Write> Recorder<W> {
     }
 }
 
+/// What was passed over because it is damaged or cut off.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
+pub struct Lost {
+    /// Number of places, each between two whole entries or at the end.
+    pub places: u64,
+    /// Number of bytes at all of these places.
+    pub bytes: u64,
+}
+
 /// Reads a recording entry by entry.
 #[derive(Debug)]
 pub struct Recording<R> {
     input: R,
     at: Duration,
-    entries: u64,
+    /// Bytes that were read ahead; those before `begin` are used up.
+    ahead: Vec<u8>,
+    begin: usize,
+    lost: Lost,
+    /// Whether the bytes just before `begin` were passed over.
+    is_passing_over: bool,
 }
 
 impl<R: Read> Recording<R> {
@@ -110,47 +125,73 @@ impl<R: Read> Recording<R> {
         if magic != MAGIC {
             return Err(RecordingError::NotARecording);
         }
-        Ok(Self { input, at: Duration::ZERO, entries: 0 })
+        let (ahead, lost) = (Vec::new(), Lost::default());
+        Ok(Self { input, at: Duration::ZERO, ahead, begin: 0, lost, is_passing_over: false })
     }
 
-    /// Returns the next message; `None` at the end of the recording, or if the last entry is truncated.
+    /// What was passed over so far.
+    pub fn lost(&self) -> Lost {
+        self.lost
+    }
+
+    /// Returns the next message; `None` at the end of the recording.
     pub fn next_entry(&mut self) -> Result<Option<Entry>, RecordingError> {
-        let mut head = [0; HEAD_BYTES];
-        if !read_whole(&mut self.input, &mut head)? {
+        while self.fill(1)? >= 1 {
+            if let Some((entry, pause, bytes)) = self.entry()? {
+                self.begin += bytes;
+                self.at += pause;
+                self.is_passing_over = false;
+                return Ok(Some(Entry { at: self.at, ..entry }));
+            }
+            self.lost.places += u64::from(!self.is_passing_over);
+            self.lost.bytes += 1;
+            self.begin += 1;
+            self.is_passing_over = true;
+        }
+        Ok(None)
+    }
+
+    /// The entry that begins at `begin`, the pause before it, and its size in bytes; `None` if none does.
+    fn entry(&mut self) -> Result<Option<(Entry, Duration, usize)>, RecordingError> {
+        if self.fill(HEAD_BYTES)? < HEAD_BYTES {
             return Ok(None);
         }
-        let [a, b, c, d, flags, e, f, g, h, i, j] = head;
+        let Some(&[a, b, c, d, flags, e, f, g, h, i, j]) = self.ahead[self.begin..].first_chunk() else {
+            return Ok(None);
+        };
         let (topic_bytes, payload_bytes) =
             (usize::from(u16::from_le_bytes([e, f])), u32::from_le_bytes([g, h, i, j]) as usize);
-        let damaged = RecordingError::Damaged(self.entries);
         if topic_bytes > TOPIC_BYTES_MAX || payload_bytes > PAYLOAD_BYTES_MAX || flags > 0b101 {
-            return Err(damaged);
-        }
-        let mut rest = vec![0; topic_bytes + payload_bytes + 4];
-        if !read_whole(&mut self.input, &mut rest)? {
             return Ok(None);
         }
-        let checksum = rest.split_off(topic_bytes + payload_bytes);
-        let mut hasher = crc32fast::Hasher::new();
-        hasher.update(&head);
-        hasher.update(&rest);
-        if hasher.finalize().to_le_bytes() != checksum[..] {
-            return Err(damaged);
+        let bytes = HEAD_BYTES + topic_bytes + payload_bytes + CHECKSUM_BYTES;
+        if self.fill(bytes)? < bytes {
+            return Ok(None);
         }
-        let payload = rest.split_off(topic_bytes);
-        let topic = String::from_utf8(rest).map_err(|_| damaged)?;
-        self.at += Duration::from_micros(u64::from(u32::from_le_bytes([a, b, c, d])));
-        self.entries += 1;
-        Ok(Some(Entry { at: self.at, topic, qos: flags >> 1, retain: flags & 1 == 1, payload }))
+        let whole = &self.ahead[self.begin..self.begin + bytes];
+        let (content, checksum) = whole.split_at(bytes - CHECKSUM_BYTES);
+        if crc32fast::hash(content).to_le_bytes() != *checksum {
+            return Ok(None);
+        }
+        let (topic, payload) = content[HEAD_BYTES..].split_at(topic_bytes);
+        let Ok(topic) = std::str::from_utf8(topic) else { return Ok(None) };
+        let pause = Duration::from_micros(u64::from(u32::from_le_bytes([a, b, c, d])));
+        let (topic, payload) = (topic.to_owned(), payload.to_vec());
+        let entry = Entry { at: self.at, topic, qos: flags >> 1, retain: flags & 1 == 1, payload };
+        Ok(Some((entry, pause, bytes)))
     }
-}
 
-/// Fills the buffer. Returns `false` if the input ends before the buffer is full.
-fn read_whole(input: &mut impl Read, buffer: &mut [u8]) -> io::Result<bool> {
-    match input.read_exact(buffer) {
-        Ok(()) => Ok(true),
-        Err(error) if error.kind() == io::ErrorKind::UnexpectedEof => Ok(false),
-        Err(error) => Err(error),
+    /// Reads ahead until `bytes` are there, or the input ends. Returns how many are there.
+    fn fill(&mut self, bytes: usize) -> io::Result<usize> {
+        let there = self.ahead.len() - self.begin;
+        if there >= bytes {
+            return Ok(there);
+        }
+        self.ahead.drain(..self.begin);
+        self.begin = 0;
+        let wanted = bytes.max(READ_AHEAD_BYTES) - there;
+        self.input.by_ref().take(wanted as u64).read_to_end(&mut self.ahead)?;
+        Ok(self.ahead.len())
     }
 }
 
@@ -178,42 +219,61 @@ mod tests {
         bytes
     }
 
-    /// The readable entries, and whether the recording ended without an error.
-    fn read(bytes: &[u8]) -> (Vec<Entry>, bool) {
-        let Ok(mut recording) = Recording::open(bytes) else { return (Vec::new(), false) };
+    /// The readable entries, and what was passed over; `None` if this is no recording.
+    fn read(bytes: &[u8]) -> Option<(Vec<Entry>, Lost)> {
+        let mut recording = Recording::open(bytes).ok()?;
         let mut found = Vec::new();
-        loop {
-            match recording.next_entry() {
-                Ok(Some(entry)) => found.push(entry),
-                Ok(None) => return (found, true),
-                Err(_) => return (found, false),
-            }
+        while let Some(entry) = recording.next_entry().unwrap() {
+            found.push(entry);
         }
+        Some((found, recording.lost()))
+    }
+
+    /// Where each entry begins, and the end of the last one.
+    fn begins() -> Vec<usize> {
+        let bytes = |entry: &Entry| HEAD_BYTES + entry.topic.len() + entry.payload.len() + CHECKSUM_BYTES;
+        let mut begins = vec![MAGIC.len()];
+        entries().iter().for_each(|entry| begins.push(begins.last().unwrap() + bytes(entry)));
+        begins
     }
 
     #[test]
     fn a_recording_round_trips() {
-        assert_eq!(read(&recorded()), (entries(), true));
+        assert_eq!(read(&recorded()), Some((entries(), Lost::default())));
     }
 
     #[test]
-    fn a_truncated_recording_ends_with_its_last_whole_entry() {
-        let bytes = recorded();
-        for end in (0..bytes.len()).step_by(13) {
-            let (found, _) = read(&bytes[..end]);
-            assert_eq!(found, entries()[..found.len()], "cut at {end}");
+    fn a_truncated_recording_ends_with_its_last_whole_entry_and_the_cut_is_told() {
+        let (bytes, begins) = (recorded(), begins());
+        for end in (MAGIC.len()..bytes.len()).step_by(13) {
+            let (found, lost) = read(&bytes[..end]).unwrap();
+            let whole = begins.iter().filter(|begin| **begin <= end).count() - 1;
+            let cut = (end - begins[whole]) as u64;
+            assert_eq!(found, entries()[..whole], "cut at {end}");
+            assert_eq!(lost, Lost { places: u64::from(cut > 0), bytes: cut }, "cut at {end}");
         }
     }
 
     #[test]
-    fn a_recording_ends_before_a_damaged_entry() {
-        let (bytes, mut dice) = (recorded(), Dice::new(1));
+    fn a_damaged_entry_costs_no_other() {
+        let (bytes, begins, mut dice) = (recorded(), begins(), Dice::new(1));
         for _ in 0..2000 {
             let mut changed = bytes.clone();
             let place = dice.below(changed.len() as u64) as usize;
             changed[place] ^= 1 << dice.below(8);
-            let (found, _) = read(&changed);
-            assert!(found.len() < 50 && found == entries()[..found.len()], "byte {place}");
+            let Some((found, lost)) = read(&changed) else {
+                assert!(place < MAGIC.len(), "byte {place}");
+                continue;
+            };
+            let damaged = begins.iter().filter(|begin| **begin <= place).count() - 1;
+            let mut expected = entries();
+            // The pause before a damaged entry is not known.
+            let pause =
+                expected[damaged].at - damaged.checked_sub(1).map_or(Duration::ZERO, |i| expected[i].at);
+            expected.remove(damaged);
+            expected[damaged..].iter_mut().for_each(|entry| entry.at -= pause);
+            assert_eq!(found, expected, "byte {place}");
+            assert_eq!(lost, Lost { places: 1, bytes: (begins[damaged + 1] - begins[damaged]) as u64 });
         }
     }
 

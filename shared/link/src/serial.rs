@@ -76,8 +76,18 @@ impl SerialConfig {
             bytes_per_s: NonZeroU32::new(baud.get() / BITS_PER_BYTE).unwrap_or(NonZeroU32::MIN),
             session,
             message_bytes_max,
-            open: Box::new(move || Ok(Box::new(builder.clone().open().map_err(io::Error::from)?))),
+            open: Box::new(move || Ok(Box::new(builder.clone().open().map_err(|error| told(error.into()))?))),
         }
+    }
+}
+
+/// The error, in plain words if the path names something else than a serial port.
+fn told(error: io::Error) -> io::Error {
+    // What the call for the settings of a terminal says about anything else (POSIX ENOTTY).
+    match error.to_string().contains("Not a typewriter") || error.to_string().contains("Inappropriate ioctl")
+    {
+        true => io::Error::other("is no serial port: name one like /dev/ttyUSB0 as `serial`"),
+        false => error,
     }
 }
 

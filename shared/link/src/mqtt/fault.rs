@@ -3,7 +3,7 @@
 use std::io::{self, ErrorKind};
 
 use rumqttc::v5::mqttbytes::v5::{ConnectReturnCode, DisconnectReasonCode, PubAckReason};
-use rustls::{AlertDescription, Error as RustlsError};
+use rustls::{AlertDescription, CertificateError, Error as RustlsError};
 use tokio_tungstenite::tungstenite;
 
 /// A broker without TLS closes the connection, or answers something else.
@@ -157,6 +157,12 @@ fn meaning(error: &RustlsError) -> Option<&'static str> {
             "the broker asks for a certificate: name it with tls = { ca, cert, key }"
         }
         RustlsError::InvalidMessage(_) => NO_TLS,
+        RustlsError::InvalidCertificate(CertificateError::UnknownIssuer | CertificateError::BadSignature) => {
+            "TLS: the broker's certificate does not come from this authority: name the broker's own as `ca`"
+        }
+        RustlsError::InvalidCertificate(
+            CertificateError::Expired | CertificateError::ExpiredContext { .. },
+        ) => "TLS: the broker's certificate has expired: give it a new one, and check both clocks",
         _ => return None,
     })
 }

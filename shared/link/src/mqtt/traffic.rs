@@ -14,7 +14,7 @@ use super::settings::{ClientSettings, Login};
 use super::shared::ClientEvent;
 use super::tls::Tls;
 use crate::faults::{Faults, Line};
-use crate::recording::{Entry, Recorder, Recording, RecordingError};
+use crate::recording::{Entry, Lost, Recorder, Recording, RecordingError};
 use crate::transport::PublishError;
 
 /// Interval at which a request to stop is checked, and at which the recording is flushed.
@@ -87,8 +87,8 @@ pub fn record(
     Ok(count)
 }
 
-/// Publishes a recording to its end, or until `is_stopping` is set. Returns the number of messages that the
-/// broker acknowledged.
+/// Publishes a recording to its end, or until `is_stopping` is set. Returns the number of messages that the broker
+/// acknowledged, and what was passed over in the recording.
 pub fn replay(
     broker: &BrokerAddress,
     tls: Option<&Tls>,
@@ -96,7 +96,7 @@ pub fn replay(
     recording: Recording<impl Read>,
     faults: &ReplaySettings,
     is_stopping: &AtomicBool,
-) -> Result<u64, TrafficError> {
+) -> Result<(u64, Lost), TrafficError> {
     let client = Client::start(settings(broker, tls, login, "replay", Vec::new()));
     let mut session = Replay { client, is_stopping, is_connected: false };
     session.wait_until(Duration::MAX, TICK, |session| session.is_connected)?;
@@ -113,7 +113,7 @@ pub fn replay(
         }
     }
     session.wait_until(ACKNOWLEDGEMENT_TIMEOUT, ROOM_TICK, |session| session.client.pending() == 0)?;
-    Ok(session.client.acknowledged() as u64)
+    Ok((session.client.acknowledged() as u64, player.recording.lost()))
 }
 
 /// The entry of the recording for an event; `None` if the event is no message. An error if the broker cannot be reached.
