@@ -3,7 +3,7 @@
 use anyhow::Result;
 use cosurf_engine::Rendering;
 use cosurf_scene::metrics::{psnr, ssim};
-use cosurf_scene::{Camera, Picture, View};
+use cosurf_scene::{Camera, Picture, Shrinking, View};
 use serde::Serialize;
 use tracing::info_span;
 
@@ -36,12 +36,12 @@ pub struct Score {
 
 /// Upper bound on the bytes that [`score`] allocates besides the rendering. Fails if the header of a picture cannot be
 /// read.
-pub fn scratch_bytes(views: &[View], max_size_px: u32) -> Result<u64> {
+pub fn scratch_bytes(views: &[View], max_size_px: u32, shrinking: Shrinking) -> Result<u64> {
     let of = |view: &View| -> Result<u64> {
         let size_px = view.camera.fitted_size(max_size_px);
         let pixels = u64::from(size_px[0]) * u64::from(size_px[1]);
         let row = u64::from(size_px[0]) * SSIM_BYTES_PER_COLUMN;
-        Ok(Picture::scratch_bytes(&view.path, size_px)? + pixels * TRUTH_BYTES_PER_PIXEL + row)
+        Ok(Picture::scratch_bytes(&view.path, size_px, shrinking)? + pixels * TRUTH_BYTES_PER_PIXEL + row)
     };
     views.iter().try_fold(0, |most, view| Ok(of(view)?.max(most)))
 }
@@ -53,6 +53,7 @@ pub fn score(
     mut render: impl FnMut(&Camera) -> Result<Rendering>,
     views: &[View],
     max_size_px: u32,
+    shrinking: Shrinking,
 ) -> Result<Score> {
     let _span = info_span!("evaluate", views = views.len()).entered();
     let scores = views
@@ -61,7 +62,7 @@ pub fn score(
             let size_px = view.camera.fitted_size(max_size_px);
             // The model first: how much of it fits depends on what the process holds already.
             let mut rendering = render(&view.camera.resized(size_px))?;
-            let truth = Picture::read_fitted(&view.path, size_px)?.to_unit();
+            let truth = Picture::read_shrunk(&view.path, size_px, shrinking)?.to_unit();
             rendering.rgb.iter_mut().for_each(|v| *v = v.clamp(0.0, 1.0));
             let (psnr, ssim) = (psnr(&rendering.rgb, &truth), ssim(&rendering.rgb, &truth, size_px));
             Ok(ViewScore { name: view.name.clone(), psnr, ssim })

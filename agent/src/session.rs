@@ -15,7 +15,7 @@ use cosurf_engine::{
 };
 use cosurf_scene::bytes::format_bytes;
 use cosurf_scene::cache::Source;
-use cosurf_scene::{Camera, Dataset, LocalFrame, PictureCache, SparsePoint, Splats, View};
+use cosurf_scene::{Camera, Dataset, LocalFrame, PictureCache, Shrinking, SparsePoint, Splats, View};
 use glam::DVec3;
 use tracing::info_span;
 
@@ -44,7 +44,9 @@ const PIXELS_PER_SPLAT_OF_MANY: u64 = 16;
 
 /// Long sides of the training pictures, as shares of the long side that the plan asks for. They are tried in this order
 /// until the training fits into the memory.
-const SIZE_STEPS: [f64; 6] = [1.0, 0.8, 0.63, 0.5, 0.35, 0.25];
+const SIZE_STEPS: [f64; 10] = [1.0, 0.8, 0.63, 0.5, 0.35, 0.25, 0.18, 0.125, 0.09, 0.0625];
+/// Pictures are not shrunk below this long side, px, and below a quarter.
+const SHRUNK_PX_MIN: u32 = 320;
 
 /// What to train.
 #[derive(Clone, Debug, PartialEq)]
@@ -120,6 +122,8 @@ pub struct Session {
     held_out: Vec<View>,
     /// Largest width and largest height of the training pictures, px.
     size_px: [u32; 2],
+    /// When pictures are shrunk.
+    shrinking: Shrinking,
     given_up: Vec<String>,
     fingerprint: Fingerprint,
     dropped_pairs: u64,
@@ -166,6 +170,7 @@ impl Session {
             .zip(&sizes.sources)
             .map(|(view, source)| view.camera.resized(source.size_px))
             .collect();
+        let shrinking = sizes.sources[0].shrinking;
         let cache = PictureCache::new(sizes.sources, sizes.budget.cache_bytes)?;
         let splats_max = sizes.budget.capacity.splats;
         let needs_init = checkpoint.is_none() || data.points.is_empty();
@@ -206,6 +211,7 @@ impl Session {
             cache,
             held_out,
             size_px: sizes.budget.capacity.size_px,
+            shrinking,
             given_up,
             fingerprint,
             dropped_pairs: 0,
@@ -271,6 +277,11 @@ impl Session {
     /// Largest width and largest height of the training pictures, px.
     pub fn size_px(&self) -> [u32; 2] {
         self.size_px
+    }
+
+    /// When the training pictures are shrunk; held-out ones must be shrunk alike to fit into the memory.
+    pub fn shrinking(&self) -> Shrinking {
+        self.shrinking
     }
 
     /// Ends the session, frees its memory and returns the model. Fails with [`DeviceLost`] if the device was lost.
@@ -390,16 +401,18 @@ fn plan_sizes(plan: &TrainPlan, memory_bytes: u64, device: &Device, data: &Datas
     let mut short: Option<BudgetError> = None;
     for share in SIZE_STEPS {
         let long_side_px = ((f64::from(wanted) * share) as u32).max(1);
-        let sources: Vec<Source> = data.views.iter().map(|view| Source::of(view, long_side_px)).collect();
-        match Budget::plan(&Wish { memory_bytes, ..wish(plan, device, data, &sources)? }) {
-            Ok(mut budget) => {
+        if share < 0.25 && long_side_px < SHRUNK_PX_MIN {
+            break;
+        }
+        match plan_size(plan, memory_bytes, device, data, long_side_px)? {
+            Ok(mut sizes) => {
                 if long_side_px < wanted {
-                    budget.given_up.insert(
+                    sizes.budget.given_up.insert(
                         0,
                         format!("pictures with a long side of {long_side_px} px instead of {wanted} px"),
                     );
                 }
-                return Ok(Sizes { budget, sources });
+                return Ok(sizes);
             }
             Err(error) => short = Some(error),
         }
@@ -415,6 +428,37 @@ fn plan_sizes(plan: &TrainPlan, memory_bytes: u64, device: &Device, data: &Datas
 }
 
 /// What the training would allocate with enough memory, and the least that it needs.
+/// Plans a training with pictures of this long side. Where exact shrinking would cost splats, JPEGs are shrunk while they are
+/// decoded.
+fn plan_size(
+    plan: &TrainPlan,
+    memory_bytes: u64,
+    device: &Device,
+    data: &Dataset,
+    long_side_px: u32,
+) -> Result<Result<Sizes, BudgetError>> {
+    let planned = |shrinking| -> Result<Result<Sizes, BudgetError>> {
+        let sources: Vec<Source> =
+            data.views.iter().map(|view| Source::of(view, long_side_px, shrinking)).collect();
+        let budget = Budget::plan(&Wish { memory_bytes, ..wish(plan, device, data, &sources)? });
+        Ok(budget.map(|budget| Sizes { budget, sources }))
+    };
+    let exact = planned(Shrinking::AfterDecoding)?;
+    if exact.as_ref().is_ok_and(Sizes::is_unreduced) {
+        return Ok(exact);
+    }
+    let mut scaled = planned(Shrinking::WhileDecoding)?;
+    let splats =
+        |sizes: &Result<Sizes, BudgetError>| sizes.as_ref().map_or(0, |it| it.budget.capacity.splats);
+    if splats(&scaled) <= splats(&exact) {
+        return Ok(exact);
+    }
+    if let Ok(Sizes { budget, .. }) = &mut scaled {
+        budget.given_up.push("JPEGs are shrunk while they are decoded, not exactly".to_owned());
+    }
+    Ok(scaled)
+}
+
 fn wish(plan: &TrainPlan, device: &Device, data: &Dataset, sources: &[Source]) -> Result<Wish> {
     let pixels: u64 =
         sources.iter().map(|source| u64::from(source.size_px[0]) * u64::from(source.size_px[1])).sum();

@@ -6,7 +6,7 @@ use std::path::PathBuf;
 use anyhow::{Result, ensure};
 use clap::Args;
 use cosurf_agent::{evaluate, viewing};
-use cosurf_scene::{Dataset, LocalFrame, View};
+use cosurf_scene::{Camera, Dataset, LocalFrame, Shrinking, View};
 
 use super::arguments::{Common, ViewingArgs};
 
@@ -35,9 +35,10 @@ pub(super) fn run(args: &EvalArgs) -> Result<()> {
     let views: Vec<View> = held_out.into_iter().map(|i| dataset.views[i].clone()).collect();
     let max_size_px = args.common.max_size_px();
     let cameras: Vec<_> = views.iter().map(|view| view.camera.fitted(max_size_px)).collect();
-    let beside_bytes = evaluate::scratch_bytes(&views, max_size_px)?;
+    let beside_bytes = evaluate::scratch_bytes(&views, max_size_px, Shrinking::AfterDecoding)?;
     let mut model = args.viewing.open(&args.model, &frame, &cameras, args.common.threads(), beside_bytes)?;
-    let score = evaluate::score(|camera| viewing::render(&mut model, camera), &views, max_size_px)?;
+    let render = |camera: &Camera| viewing::render(&mut model, camera);
+    let score = evaluate::score(render, &views, max_size_px, Shrinking::AfterDecoding)?;
     let mut stdout = io::stdout().lock();
     if args.common.json {
         writeln!(stdout, "{}", serde_json::to_string(&score)?)?;

@@ -287,7 +287,7 @@ fn finish(
     curve: &Curve,
     progress: &mut Progress,
 ) -> Result<TrainReport> {
-    let given_up = session.given_up();
+    let (given_up, shrinking) = (session.given_up(), session.shrinking());
     let (frame, cameras, held_out, size_px) =
         (session.frame(), session.cameras().to_vec(), session.held_out().to_vec(), session.size_px());
     let device = session.trainer().backend().device();
@@ -300,7 +300,8 @@ fn finish(
         );
     }
     let mut renderer = Renderer::new(&splats, plan.threads);
-    let score = evaluate::score(|camera| Ok(renderer.render(camera)), &held_out, size_px[0].max(size_px[1]))?;
+    let long_side_px = size_px[0].max(size_px[1]);
+    let score = evaluate::score(|camera| Ok(renderer.render(camera)), &held_out, long_side_px, shrinking)?;
     drop(renderer);
     let report = TrainReport {
         steps: plan.steps,

@@ -78,7 +78,7 @@ impl PictureCache {
     pub fn scratch_bytes(sources: &[Source]) -> Result<u64, SceneError> {
         let mut most = pack::scratch_bytes(largest_bytes(sources));
         for source in sources {
-            most = most.max(Picture::scratch_bytes(&source.path, source.size_px)?);
+            most = most.max(Picture::scratch_bytes(&source.path, source.size_px, source.shrinking)?);
         }
         Ok(most)
     }
@@ -166,7 +166,7 @@ impl Shared {
         let from = state.begin(index);
         drop(state);
         let _making = Making { shared: self, index };
-        let Source { path, size_px } = &self.sources[index];
+        let Source { path, size_px, .. } = &self.sources[index];
         let (picture, slot) = match from {
             Slot::Packed(packed) => {
                 (pack::unpack(&packed, *size_px).map_err(|cause| SceneError::io(path, cause))?.into(), None)
@@ -183,8 +183,8 @@ impl Shared {
     }
 
     fn decode(&self, index: usize) -> Result<Arc<Picture>, SceneError> {
-        let Source { path, size_px } = &self.sources[index];
-        let picture = Picture::read_fitted(path, *size_px)?;
+        let Source { path, size_px, shrinking } = &self.sources[index];
+        let picture = Picture::read_shrunk(path, *size_px, *shrinking)?;
         self.lock().count_decoded();
         Ok(Arc::new(picture))
     }

@@ -51,7 +51,7 @@ pub use local_frame::{LocalFrame, ORIGIN_MAX};
 pub use lock::FolderLock;
 pub use mesh::Mesh;
 pub use outline::Outline;
-pub use picture::Picture;
+pub use picture::{Picture, Shrinking};
 pub use raycast::{Cast, Caster};
 pub use space::check_space;
 pub use splats::Splats;

@@ -3,7 +3,10 @@
 mod files;
 mod header;
 mod pixels;
+mod png_rows;
 mod resize;
+mod scaled;
+mod shrinking;
 #[cfg(test)]
 mod tests;
 
@@ -13,6 +16,7 @@ use crate::SceneError;
 use header::PictureHeader;
 pub use pixels::Picture;
 pub(crate) use pixels::bytes_of;
+pub use shrinking::Shrinking;
 
 impl Picture {
     /// Decodes a JPEG or PNG file. Alpha is composited over black, channels of 16 bits are reduced to 8,
@@ -24,8 +28,12 @@ impl Picture {
 
     /// Like [`Self::read`], then [`Self::resized`] if the picture's size is not `size_px`.
     pub fn read_fitted(path: &Path, size_px: [u32; 2]) -> Result<Self, SceneError> {
-        let picture = Self::read(path)?;
-        Ok(if picture.size_px == size_px { picture } else { picture.resized(size_px) })
+        Self::read_shrunk(path, size_px, Shrinking::AfterDecoding)
+    }
+
+    /// As [`Self::read_fitted`], with a choice of when the picture is shrunk.
+    pub fn read_shrunk(path: &Path, size_px: [u32; 2], shrinking: Shrinking) -> Result<Self, SceneError> {
+        files::read_fitted(path, size_px, shrinking)
     }
 
     /// Width and height from the file's header; the pixels are not decoded.
@@ -38,10 +46,10 @@ impl Picture {
         files::size_of_whole(path)
     }
 
-    /// Upper bound on the bytes that [`Self::read_fitted`] allocates besides the picture that it
+    /// Upper bound on the bytes that [`Self::read_shrunk`] allocates besides the picture that it
     /// returns. Computed from the file's header.
-    pub fn scratch_bytes(path: &Path, size_px: [u32; 2]) -> Result<u64, SceneError> {
-        Ok(PictureHeader::read(path)?.decode_bytes + resize::scratch_bytes(size_px))
+    pub fn scratch_bytes(path: &Path, size_px: [u32; 2], shrinking: Shrinking) -> Result<u64, SceneError> {
+        Ok(PictureHeader::read(path)?.scratch_bytes(size_px, shrinking) + resize::scratch_bytes(size_px))
     }
 
     /// Resamples the picture: each new pixel is the exact mean of the area that it covers. Shrinking

@@ -2,8 +2,8 @@
 
 use std::path::PathBuf;
 
-use crate::View;
 use crate::picture::bytes_of;
+use crate::{Shrinking, View};
 
 /// A picture to cache: its file, and the size to shrink it to.
 #[derive(Clone, Debug, PartialEq, Eq)]
@@ -12,12 +12,14 @@ pub struct Source {
     pub path: PathBuf,
     /// Width and height after shrinking.
     pub size_px: [u32; 2],
+    /// When the picture is shrunk.
+    pub shrinking: Shrinking,
 }
 
 impl Source {
     /// The picture of `view`, shrunk until its long side is at most `long_side_px`.
-    pub fn of(view: &View, long_side_px: u32) -> Self {
-        Self { path: view.path.clone(), size_px: view.camera.fitted_size(long_side_px) }
+    pub fn of(view: &View, long_side_px: u32, shrinking: Shrinking) -> Self {
+        Self { path: view.path.clone(), size_px: view.camera.fitted_size(long_side_px), shrinking }
     }
 }
 

@@ -7,6 +7,7 @@ use std::fs;
 use std::path::Path;
 
 use super::*;
+use crate::Shrinking;
 
 const SIZE_PX: [u32; 2] = [24, 16];
 const RAW_BYTES: u64 = 24 * 16 * 3;
@@ -20,7 +21,7 @@ fn made_up(folder: &Path, n: u32) -> Vec<Source> {
         let rgb = (0..32).flat_map(|y| (0..48).flat_map(move |x| at(x, y))).collect();
         let path = folder.join(format!("{i}.png"));
         Picture::new([48, 32], rgb).write_png(&path).unwrap();
-        Source { path, size_px: SIZE_PX }
+        Source { path, size_px: SIZE_PX, shrinking: Shrinking::AfterDecoding }
     };
     (0..n).map(source).collect()
 }
@@ -205,4 +206,7 @@ fn scratch_covers_the_most_demanding_source() {
     let large = PictureCache::scratch_bytes(&sources).unwrap();
     assert!(small < 6 << 20, "{small}");
     assert!((9_000_000..13 << 20).contains(&large), "{large}");
+    sources[1].shrinking = Shrinking::WhileDecoding;
+    let scaled = PictureCache::scratch_bytes(&sources).unwrap();
+    assert!(scaled < 5 << 20, "{scaled}");
 }

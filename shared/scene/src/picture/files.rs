@@ -8,17 +8,47 @@ use image::codecs::jpeg::JpegEncoder;
 use image::codecs::png::PngEncoder;
 use image::{DynamicImage, ExtendedColorType, ImageEncoder, ImageError, ImageFormat, ImageReader, Limits};
 
-use super::header::PictureHeader;
+use super::header::{PictureHeader, Way};
 use super::pixels::Picture;
+use super::resize::area_average_of;
+use super::shrinking::Shrinking;
+use super::{png_rows, scaled};
 use crate::{SceneError, atomic};
 
 /// Decodes a JPEG or PNG file to RGB. Errors: a file that is empty, cut short or damaged.
 pub(super) fn read(path: &Path) -> Result<Picture, SceneError> {
+    read_whole(path, &PictureHeader::read(path)?)
+}
+
+/// As [`read`], resampled to `size_px` while or after the picture is decoded.
+pub(super) fn read_fitted(
+    path: &Path,
+    size_px: [u32; 2],
+    shrinking: Shrinking,
+) -> Result<Picture, SceneError> {
     let header = PictureHeader::read(path)?;
+    let picture = match header.way(size_px, shrinking) {
+        Way::Whole => read_whole(path, &header)?,
+        Way::Rows => return png_rows::read(path, &header, size_px),
+        Way::Scaled(divisor) => {
+            check_end(path, &header)?;
+            let scaled = scaled::read(path, &header, divisor)?;
+            return Ok(area_average_of(&scaled, header.size_px, divisor, size_px));
+        }
+    };
+    Ok(if picture.size_px == size_px { picture } else { picture.resized(size_px) })
+}
+
+/// An error if a JPEG is cut short. Decoders would fill the missing pixels with grey.
+fn check_end(path: &Path, header: &PictureHeader) -> Result<(), SceneError> {
+    let file = File::open(path).map(BufReader::new).map_err(|cause| SceneError::io(path, cause))?;
+    if has_end(file, header.data_offset).unwrap_or(false) { Ok(()) } else { Err(cut_short(path)) }
+}
+
+fn read_whole(path: &Path, header: &PictureHeader) -> Result<Picture, SceneError> {
     let open = || File::open(path).map(BufReader::new).map_err(|cause| SceneError::io(path, cause));
-    if header.format == ImageFormat::Jpeg && !has_end(open()?, header.data_offset).unwrap_or(false) {
-        // Without this check, the decoder would fill the missing pixels with grey.
-        return Err(cut_short(path));
+    if header.format == ImageFormat::Jpeg {
+        check_end(path, header)?;
     }
     let mut reader = ImageReader::with_format(open()?, header.format);
     let mut limits = Limits::no_limits();
@@ -78,7 +108,7 @@ fn has_end(mut input: impl BufRead + Seek, offset: u64) -> io::Result<bool> {
 
 /// Converts to RGB of 8 bits per channel, with alpha composited over black.
 /// [`PictureHeader::decode_bytes`] includes the memory for this.
-fn rgb_over_black(image: DynamicImage) -> Vec<u8> {
+pub(super) fn rgb_over_black(image: DynamicImage) -> Vec<u8> {
     let over = |color: u8, alpha: u8| ((u16::from(color) * u16::from(alpha) + 127) / 255) as u8;
     match image {
         DynamicImage::ImageRgb8(rgb) => rgb.into_raw(),

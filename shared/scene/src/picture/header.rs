@@ -8,6 +8,8 @@ use std::path::Path;
 
 use image::ImageFormat;
 
+use super::scaled;
+use super::shrinking::Shrinking;
 use crate::SceneError;
 
 /// Largest accepted number of pixels, more than any drone's camera has.
@@ -29,6 +31,24 @@ pub(super) struct PictureHeader {
     pub(super) decode_bytes: u64,
     /// Offset of a JPEG's first compressed pixels from the start of the file, bytes; 0 for PNG.
     pub(super) data_offset: u64,
+    /// Whether the pixels come in the order of rows or blocks, so that the picture can be shrunk while it is decoded.
+    is_in_order: bool,
+}
+
+/// How a picture is read.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub(super) enum Way {
+    /// Decoded whole.
+    Whole,
+    /// A PNG, row by row.
+    Rows,
+    /// A JPEG at one part in so many of its width and height.
+    Scaled(u32),
+}
+
+/// Upper bound on the bytes of a few rows of so many pixels, and tables.
+fn rows_bytes(width: u32) -> u64 {
+    256 * u64::from(width) + (1 << 18)
 }
 
 /// What the header of a picture file says, unchecked.
@@ -37,6 +57,7 @@ struct Facts {
     size_px: [u32; 2],
     bytes_per_pixel: u64,
     data_offset: u64,
+    is_in_order: bool,
 }
 
 impl PictureHeader {
@@ -67,14 +88,46 @@ impl PictureHeader {
                 "claims {width} × {height} pixels in {file_bytes} bytes; the file is damaged, fetch it again"
             )));
         }
-        // Decoders also allocate a few rows and tables.
-        let rows_bytes = 256 * u64::from(width) + (1 << 18);
         Ok(Self {
             format: facts.format,
             size_px: facts.size_px,
-            decode_bytes: file_bytes + pixels * facts.bytes_per_pixel + rows_bytes,
+            decode_bytes: file_bytes + pixels * facts.bytes_per_pixel + rows_bytes(width),
             data_offset: facts.data_offset,
+            is_in_order: facts.is_in_order,
         })
+    }
+
+    /// How the picture is read to get it at the size `size_px`.
+    pub(super) fn way(&self, size_px: [u32; 2], shrinking: Shrinking) -> Way {
+        match (self.format, shrinking) {
+            (ImageFormat::Png, _) if self.is_in_order && size_px != self.size_px => Way::Rows,
+            (ImageFormat::Jpeg, Shrinking::WhileDecoding) if self.is_in_order => {
+                match scaled::divisor(self.size_px, size_px) {
+                    1 => Way::Whole,
+                    divisor => Way::Scaled(divisor),
+                }
+            }
+            _ => Way::Whole,
+        }
+    }
+
+    /// Upper bound on the bytes of rows and tables of a decoder.
+    pub(super) fn rows_bytes(&self) -> u64 {
+        rows_bytes(self.size_px[0])
+    }
+
+    /// Upper bound on the bytes that decoding allocates to give the picture at the size `size_px`, besides that picture.
+    pub(super) fn scratch_bytes(&self, size_px: [u32; 2], shrinking: Shrinking) -> u64 {
+        match self.way(size_px, shrinking) {
+            Way::Whole => self.decode_bytes,
+            Way::Rows => self.rows_bytes(),
+            Way::Scaled(divisor) => {
+                // Its planes, which end at whole blocks, and the picture made of them; then a shrunk one.
+                let [width, height] =
+                    scaled::scaled_px(self.size_px, divisor).map(|side| u64::from(side) + 16);
+                2 * 3 * width * height + self.rows_bytes()
+            }
+        }
     }
 }
 
@@ -104,7 +157,7 @@ fn read_png(input: &mut (impl Read + Seek)) -> io::Result<Facts> {
     }
     let width = u32::from_be_bytes(read_array(input)?);
     let height = u32::from_be_bytes(read_array(input)?);
-    let [depth, color, _, _, _]: [u8; 5] = read_array(input)?;
+    let [depth, color, _, _, interlace]: [u8; 5] = read_array(input)?;
     let has_alpha = has_transparency(input)? || matches!(color, 4 | 6);
     let channels = if matches!(color, 0 | 4) { 1 } else { 3 } + u64::from(has_alpha);
     let bytes_per_pixel = match (depth, channels) {
@@ -112,7 +165,13 @@ fn read_png(input: &mut (impl Read + Seek)) -> io::Result<Facts> {
         (_, 3) => 3,
         (_, _) => channels + 3,
     };
-    Ok(Facts { format: ImageFormat::Png, size_px: [width, height], bytes_per_pixel, data_offset: 0 })
+    Ok(Facts {
+        format: ImageFormat::Png,
+        size_px: [width, height],
+        bytes_per_pixel,
+        data_offset: 0,
+        is_in_order: interlace == 0,
+    })
 }
 
 /// Whether a `tRNS` chunk before the pixels makes some colour transparent. `input` must be at the
@@ -150,6 +209,7 @@ fn read_jpeg(input: &mut (impl BufRead + Seek)) -> io::Result<Facts> {
                     size_px: frame.size_px,
                     bytes_per_pixel: frame.bytes_per_pixel(components),
                     data_offset: next as u64,
+                    is_in_order: !frame.is_in_scans(components) && matches!(frame.components, 1 | 3),
                 });
             }
             _ => {}
@@ -188,9 +248,13 @@ impl Frame {
     /// of a pixel is spread over several scans, the decoder also keeps the 16-bit DCT coefficients.
     fn bytes_per_pixel(&self, scan_components: u8) -> u64 {
         let components = u64::from(self.components);
-        let in_scans = self.progressive || scan_components < self.components;
-        let coefficients = if in_scans { 2 * components } else { 0 };
+        let coefficients = if self.is_in_scans(scan_components) { 2 * components } else { 0 };
         coefficients + if components == 1 { 1 + 3 } else { 3 }
+    }
+
+    /// Whether the data of a pixel is spread over several scans. `scan_components` is the number of components of the first.
+    fn is_in_scans(&self, scan_components: u8) -> bool {
+        self.progressive || scan_components < self.components
     }
 }
 

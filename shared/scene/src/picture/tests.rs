@@ -103,9 +103,52 @@ fn scratch_bytes_follow_the_colour_type() {
         let file = png(&vec![0; bytes_per_pixel * 1_000_000], size_px, color);
         let path = FOLDER.with(|folder| folder.path().join("b.png"));
         fs::write(&path, file).unwrap();
-        let beside = Picture::scratch_bytes(&path, [10, 10]).unwrap() - scratch_per_pixel * 1_000_000;
-        assert!(beside < 2_000_000, "{color:?}: {beside}");
+        let beside = |size_px| Picture::scratch_bytes(&path, size_px, Shrinking::AfterDecoding).unwrap();
+        let whole = beside(size_px) - scratch_per_pixel * 1_000_000;
+        assert!(whole < 2_000_000, "{color:?}: {whole}");
+        assert!(beside([10, 10]) < 2_000_000, "{color:?}: rows");
     }
+}
+
+#[test]
+fn a_png_has_the_same_pixels_row_by_row() {
+    use ExtendedColorType::*;
+    let noise =
+        |count: u32| (0..count).map(|i| (i.wrapping_mul(2_654_435_761) >> 24) as u8).collect::<Vec<u8>>();
+    let path = FOLDER.with(|folder| folder.path().join("rows.png"));
+    for (color, bytes_per_pixel) in
+        [(L8, 1), (La8, 2), (Rgb8, 3), (Rgba8, 4), (L16, 2), (La16, 4), (Rgb16, 6), (Rgba16, 8)]
+    {
+        fs::write(&path, png(&noise(bytes_per_pixel * 61 * 43), [61, 43], color)).unwrap();
+        for size_px in [[20, 14], [61, 1], [7, 43], [70, 50]] {
+            let whole = Picture::read(&path).unwrap().resized(size_px);
+            assert_eq!(Picture::read_fitted(&path, size_px).unwrap(), whole, "{color:?} {size_px:?}");
+        }
+        let bytes = fs::read(&path).unwrap();
+        fs::write(&path, &bytes[..bytes.len() / 2]).unwrap();
+        assert!(Picture::read_fitted(&path, [20, 14]).is_err(), "{color:?}: half of the file");
+    }
+}
+
+#[test]
+fn a_jpeg_that_is_shrunk_while_it_is_decoded_hardly_differs() {
+    let path = FOLDER.with(|folder| folder.path().join("scaled.jpg"));
+    let picture = smooth([411, 300]);
+    picture.write_jpeg(&path, 95).unwrap();
+    for size_px in [[300, 219], [205, 150], [100, 73], [51, 37], [40, 30]] {
+        let exact = Picture::read_fitted(&path, size_px).unwrap();
+        let scaled = Picture::read_shrunk(&path, size_px, Shrinking::WhileDecoding).unwrap();
+        let squares = exact.rgb.iter().zip(&scaled.rgb).map(|(a, b)| f64::from(a.abs_diff(*b)).powi(2));
+        let rms = (squares.sum::<f64>() / exact.rgb.len() as f64).sqrt();
+        assert!(scaled.size_px == size_px && rms < 1.5, "{size_px:?}: {rms:.2} levels");
+        let bytes = |shrinking| Picture::scratch_bytes(&path, size_px, shrinking).unwrap();
+        let [exact, scaled] = [Shrinking::AfterDecoding, Shrinking::WhileDecoding].map(bytes);
+        assert!(scaled < exact || size_px == [300, 219], "{size_px:?}: {scaled} of {exact} bytes");
+    }
+    let bytes = fs::read(&path).unwrap();
+    fs::write(&path, &bytes[..bytes.len() / 2]).unwrap();
+    let cut = Picture::read_shrunk(&path, [40, 30], Shrinking::WhileDecoding).unwrap_err();
+    assert!(cut.to_string().contains("cut short"), "{cut}");
 }
 
 #[test]
