@@ -17,12 +17,13 @@ mod train;
 
 use anyhow::Result;
 use clap::{Parser, Subcommand};
+use cosurf_cli::{VERSION, shell};
 use cosurf_contract::{LogFormat, log};
 
 /// Train a Gaussian-splat surface model from drone pictures, within a memory limit, on this computer's CPU or GPU. `ingest`
 /// finds the pictures' poses first.
 #[derive(Debug, Parser)]
-#[command(version, propagate_version = true)]
+#[command(version = VERSION, propagate_version = true)]
 pub(crate) struct Cli {
     #[command(subcommand)]
     command: Command,
@@ -37,15 +38,29 @@ pub(crate) struct Cli {
 
 #[derive(Debug, Subcommand)]
 enum Command {
+    #[command(after_help = "Example:\n  cosurf-agent ingest PHOTOS --out DATA --origin 30.1712,-98.0897,300")]
     Ingest(ingest::IngestArgs),
+    #[command(after_help = "Example:\n  cosurf-agent train DATA --out DIR --max-size 640 --memory 1GiB")]
     Train(train::TrainArgs),
+    #[command(after_help = "Example:\n  cosurf-agent eval DIR DATA --max-size 640")]
     Eval(eval::EvalArgs),
+    #[command(after_help = "Example:\n  cosurf-agent render DIR --cameras DATA --out PICTURES")]
     Render(render::RenderArgs),
+    #[command(after_help = "Example:\n  cosurf-agent run --config agent.toml")]
     Run(run::RunArgs),
+    #[command(after_help = "Example:\n  cosurf-agent preflight --config agent.toml")]
     Preflight(run::PreflightArgs),
+    #[command(after_help = "Example:\n  cosurf-agent doctor --config agent.toml")]
+    Doctor(run::DoctorArgs),
+    #[command(after_help = "Example:\n  cosurf-agent key drone-1.key --device drone-1")]
     Key(key::KeyArgs),
     #[cfg(feature = "gpu")]
     Devices(devices::DevicesArgs),
+    #[command(after_help = "Example:\n  \
+        cosurf-agent completions bash > ~/.local/share/bash-completion/completions/cosurf-agent")]
+    Completions(shell::CompletionsArgs),
+    #[command(after_help = "Example:\n  cosurf-agent man ~/.local/share/man/man1")]
+    Man(shell::ManArgs),
 }
 
 pub(crate) fn run(cli: Cli) -> Result<()> {
@@ -62,8 +77,11 @@ pub(crate) fn run(cli: Cli) -> Result<()> {
         Command::Render(args) => render::run(&args),
         Command::Run(args) => run::run(&args),
         Command::Preflight(args) => run::preflight(&args),
+        Command::Doctor(args) => run::doctor(&args),
         Command::Key(args) => key::run(&args),
         #[cfg(feature = "gpu")]
         Command::Devices(args) => devices::run(&args),
+        Command::Completions(args) => shell::completions::<Cli>(&args),
+        Command::Man(args) => shell::man::<Cli>(&args),
     }
 }

@@ -8,6 +8,7 @@
 
 pub(crate) mod arguments;
 pub(crate) mod convert;
+pub(crate) mod doctor;
 pub(crate) mod eval;
 pub(crate) mod eval_mesh;
 pub(crate) mod forget;

@@ -13,6 +13,7 @@ use std::time::Instant;
 use anyhow::{Context, Result};
 use clap::{Args, Parser, Subcommand};
 use cosurf_aggregator::service::{Command, Host, serve};
+use cosurf_cli::{VERSION, shell};
 use cosurf_contract::{Escaped, LogFormat, log};
 use cosurf_link::SerialConfig;
 use cosurf_link::serial::{DEFAULT_BAUD, GATEWAY_MESSAGE_BYTES};
@@ -22,7 +23,7 @@ use cli::arguments::{ConfigArgs, HttpArgs};
 
 /// Ground station of cosurf: receives the splat models that drones send, merges them, and sends the global model back.
 #[derive(Parser)]
-#[command(version, propagate_version = true, arg_required_else_help = true)]
+#[command(version = VERSION, propagate_version = true, arg_required_else_help = true)]
 struct Cli {
     #[command(subcommand)]
     command: Commands,
@@ -37,23 +38,54 @@ struct Cli {
 
 #[derive(Subcommand)]
 enum Commands {
+    #[command(after_help = "Example:\n  cosurf-aggregator eval DIR DATA")]
     Eval(cli::eval::EvalArgs),
+    #[command(after_help = "Example:\n  cosurf-aggregator convert MODEL.ply MODEL.spz")]
     Convert(cli::convert::ConvertArgs),
+    #[command(after_help = "Example:\n  cosurf-aggregator mesh DIR --out mesh.glb")]
     Mesh(cli::mesh::MeshArgs),
+    #[command(after_help = "Example:\n  cosurf-aggregator doctor --config aggregator.toml")]
+    Doctor(cli::doctor::DoctorArgs),
     EvalMesh(cli::eval_mesh::EvalMeshArgs),
+    #[command(after_help = "Example:\n  cosurf-aggregator forget drone-1 --config aggregator.toml")]
     Forget(cli::forget::ForgetArgs),
+    #[command(after_help = "Example:\n  cosurf-aggregator key aggregator.key")]
     Key(cli::key::KeyArgs),
+    #[command(after_help = "Example:\n  cosurf-aggregator merge DIR DIR --out MERGED")]
     Merge(cli::merge::MergeArgs),
+    #[command(after_help = "Example:\n  cosurf-aggregator mission --data DATA --max-size 640")]
     Mission(cli::mission::MissionArgs),
+    #[command(after_help = "Example:\n  cosurf-aggregator password drone-1 < drone-1.password >> users.txt")]
     Password(cli::password::PasswordArgs),
+    #[command(
+        after_help = "Example:\n  cosurf-aggregator pki keys --host 192.168.1.10 --device drone-1 --device drone-2"
+    )]
     Pki(cli::pki::PkiArgs),
+    #[command(after_help = "Example:\n  cosurf-aggregator record flight.log --broker mqtt://127.0.0.1:1883")]
     Record(cli::tap::RecordArgs),
+    #[command(
+        after_help = "Example:\n  cosurf-aggregator replay flight.log --broker mqtt://127.0.0.1:1884 --speed 10"
+    )]
     Replay(cli::tap::ReplayArgs),
+    #[command(
+        after_help = "Example:\n  cosurf-aggregator run --config aggregator.toml --http 127.0.0.1:8080"
+    )]
     Run(RunArgs),
+    #[command(after_help = "Example:\n  cosurf-aggregator survey DIR --out SURVEY --origin 53.3,16.4,0")]
     Survey(cli::survey::SurveyArgs),
+    #[command(after_help = "Example:\n  cosurf-aggregator town PHOTOS --raw --size 800")]
     Town(cli::town::TownArgs),
+    #[command(after_help = "Example:\n  cosurf-aggregator view DIR")]
     View(cli::view::ViewArgs),
+    #[command(
+        after_help = "Example:\n  cosurf-aggregator worker --queue nats://10.0.0.1:4222 --tiles s3://cosurf/tiles"
+    )]
     Worker(cli::worker::WorkerArgs),
+    #[command(after_help = "Example:\n  \
+        cosurf-aggregator completions bash > ~/.local/share/bash-completion/completions/cosurf-aggregator")]
+    Completions(shell::CompletionsArgs),
+    #[command(after_help = "Example:\n  cosurf-aggregator man ~/.local/share/man/man1")]
+    Man(shell::ManArgs),
 }
 
 /// Serve a site until stopped: receive models, merge them, send the global model back.
@@ -95,6 +127,7 @@ fn run_command(cli: Cli) -> Result<()> {
     }
     match cli.command {
         Commands::Convert(args) => cli::convert::run(&args),
+        Commands::Doctor(args) => cli::doctor::run(&args),
         Commands::Eval(args) => cli::eval::run(args),
         Commands::Forget(args) => cli::forget::run(&args),
         Commands::Key(args) => cli::key::run(&args),
@@ -108,6 +141,8 @@ fn run_command(cli: Cli) -> Result<()> {
         Commands::Town(args) => cli::town::run(&args),
         Commands::View(args) => cli::view::run(&args),
         Commands::Worker(args) => cli::worker::run(&args),
+        Commands::Completions(args) => shell::completions::<Cli>(&args),
+        Commands::Man(args) => shell::man::<Cli>(&args),
         Commands::Run(args) => run(&args),
         Commands::Mesh(args) => cli::mesh::run(&args),
         Commands::EvalMesh(args) => cli::eval_mesh::run(&args),

@@ -80,7 +80,7 @@ pub use record::{FitRecord, Fitted, KeptOut, Merging, withdraw};
 pub(crate) use record::{file_hash, remove};
 pub use reporting::{ReportError, ReportTask, Reported, Reporter};
 pub use round::{Expected, Rounds};
-pub use serve::{Host, ServeError, SideEvent, serve};
+pub use serve::{Host, ServeError, SideEvent, neighbours, serve};
 pub(crate) use station::Station;
 pub use upstream::UpstreamEvent;
 pub(crate) use upstream::{Upstream, UpstreamNode};

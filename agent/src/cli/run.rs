@@ -2,6 +2,7 @@
 
 mod choice;
 mod comparison;
+mod doctor;
 mod reporter;
 mod route;
 
@@ -26,6 +27,7 @@ use super::progress::Progress;
 use super::train;
 use choice::Answer;
 use comparison::Comparison;
+pub(super) use doctor::{DoctorArgs, doctor};
 use reporter::Reporter;
 use route::Route;
 

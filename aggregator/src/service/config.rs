@@ -283,7 +283,7 @@ fn bind<'de, D: Deserializer<'de>>(deserializer: D) -> Result<Option<SocketAddr>
 
 impl AggregatorConfig {
     /// A setting of the built-in broker that is given; `None` if there is none.
-    pub(super) fn setting_of_built_in_broker(&self) -> Option<&'static str> {
+    pub(in crate::service) fn setting_of_built_in_broker(&self) -> Option<&'static str> {
         match () {
             () if self.users.is_some() => Some("users"),
             () if self.open => Some("open"),

@@ -1,17 +1,16 @@
 //! A service that runs until it is stopped: what `cosurf-aggregator run` does with its configuration.
 
+mod error;
+mod reach;
+
 use std::fmt;
 use std::fs;
-use std::net::SocketAddr;
 use std::ops::ControlFlow;
-use std::path::Path;
 use std::sync::mpsc::Receiver;
 use std::time::Duration;
 
-use cosurf_contract::{PasswordError, read_password};
-use cosurf_link::mqtt::TlsError;
 use cosurf_link::{
-    Credentials, Identity, InboxLimits, Login, MqttTransport, Role, SerialConfig, Tls, Trusted, next_session,
+    Credentials, Identity, InboxLimits, MqttTransport, Role, SerialConfig, Trusted, next_session,
 };
 use cosurf_scene::{FolderLock, SceneError};
 use cosurf_wire::{DeviceId, FrameId, SiteId};
@@ -19,7 +18,7 @@ use serde::Serialize;
 
 use super::above::AboveLink;
 use super::bound::MemoryBound;
-use super::config::{AggregatorConfig, TlsConfig, UpstreamConfig, WorkersConfig, WrongTls};
+use super::config::{AggregatorConfig, UpstreamConfig, WorkersConfig};
 use super::control::{BROKER_ATTEMPTS_MAX, Command, ServiceConfig};
 use super::error::ServiceError;
 use super::event::ServiceEvent;
@@ -29,11 +28,14 @@ use super::reporting::{ReportTask, Reporter};
 use super::round::{Expected, Rounds};
 use super::site_plan::read_plan;
 use super::upstream::{Upstream, UpstreamEvent, UpstreamNode};
-use crate::broker::{Broker, BrokerError, BrokerEvent, BrokerSettings, Reach, Users, UsersError};
+use crate::broker::{Broker, BrokerEvent, Reach};
 use crate::gateway::{Gateway, GatewayEvent};
 use crate::merge::MergeSettings;
-use crate::queue::{Queue, QueueError};
-use crate::store::{ObjectError, Store};
+use crate::queue::Queue;
+use crate::store::Store;
+pub use error::ServeError;
+pub use reach::neighbours;
+use reach::{reach_above, reach_broker};
 
 /// Limit on the number of stored models that the inbox remembers.
 const STORED_MAX: usize = 4096;
@@ -60,75 +62,6 @@ impl fmt::Display for SideEvent {
             Self::Broker(event) => event.fmt(f),
             Self::Memory(bound) => bound.fmt(f),
         }
-    }
-}
-
-/// Why a service did not start, or ended by itself.
-#[derive(Debug, thiserror::Error)]
-#[non_exhaustive]
-pub enum ServeError {
-    /// Neither or both of `bind` and `broker` are configured.
-    #[error("write either bind = \"127.0.0.1:1883\" (a broker of its own) or broker = \"mqtt://host:port\"")]
-    OneBroker,
-    /// The certificates for the broker cannot be used.
-    #[error("tls: {0}")]
-    Tls(TlsError),
-    /// The certificates for the broker of the aggregator above cannot be used.
-    #[error("upstream.tls: {0}")]
-    UpstreamTls(TlsError),
-    /// `tls` does not fit the use that is made of it.
-    #[error("tls: {0}")]
-    TlsFile(#[from] WrongTls),
-    /// The file of users cannot be used.
-    #[error("users: {0}")]
-    Users(#[from] UsersError),
-    /// The built-in broker would accept everybody on the network.
-    #[error(
-        "bind: everybody who reaches {0} could read and send everything: write users = \"users.txt\" or tls with ca, \
-         bind 127.0.0.1, or write open = true (--open) if all of the network may"
-    )]
-    Open(SocketAddr),
-    /// A setting of the built-in broker is given, but the broker is elsewhere.
-    #[error("{0} is for the built-in broker: remove it, or write bind instead of broker")]
-    NotBuiltIn(&'static str),
-    /// The password for the broker cannot be read.
-    #[error(transparent)]
-    Password(#[from] PasswordError),
-    /// The site has keys, and those of the aggregator above are not given.
-    #[error(
-        "upstream.trusted is missing, but `trusted` is set: name the file with the key of the aggregator above"
-    )]
-    UpstreamTrusted,
-    /// The built-in broker did not start.
-    #[error("bind: {0}")]
-    Broker(BrokerError),
-    /// The place of the workers' tiles cannot be used.
-    #[error("workers.tiles: {0}")]
-    Tiles(ObjectError),
-    /// The workers' queue cannot be used.
-    #[error("workers.queue: {0}")]
-    Queue(QueueError),
-    /// A key file or the plan could not be read, or the service's folder could not be made or written to.
-    #[error(transparent)]
-    Scene(#[from] SceneError),
-    /// The stores in the service's folder could not be opened.
-    #[error(transparent)]
-    Service(#[from] ServiceError),
-    /// The broker was never reached.
-    #[error(
-        "{reason}; gave up after {BROKER_ATTEMPTS_MAX} attempts: check `broker`, and that the broker runs"
-    )]
-    NoBroker {
-        /// The last error of the link.
-        reason: String,
-    },
-}
-
-impl ServeError {
-    /// Whether a setting of the configuration file is wrong. The text then names the setting, and the caller must name
-    /// the file.
-    pub fn is_setting(&self) -> bool {
-        !matches!(self, Self::Scene(_) | Self::Service(_))
     }
 }
 
@@ -298,16 +231,12 @@ fn start_upstream(
     now: impl Fn() -> Duration + Send + 'static,
     say: impl Fn(UpstreamEvent) + Send + 'static,
 ) -> Result<(Upstream, AboveLink), ServeError> {
-    let broker = above.broker.clone();
-    let tls = Tls::for_broker(&broker, above.tls.as_ref()).map_err(ServeError::UpstreamTls)?;
     let identity = Identity { site: above.site, device: above.device, session, role: Role::Device };
     let trusted = above.trusted.as_deref().map(Trusted::read).transpose()?;
     if credentials.trusted.is_some() && trusted.is_none() {
         return Err(ServeError::UpstreamTrusted);
     }
-    let login = login(above.device, above.password_file.as_deref())?;
-    let reach = Reach { tls, login, ..Reach::plain(broker) };
-    let link_config = reach.config(identity, credentials.key.as_ref());
+    let link_config = reach_above(above)?.config(identity, credentials.key.as_ref());
     let credentials = Credentials { trusted, ..credentials };
     let (node, link) = UpstreamNode::open(identity, credentials, &config.out, inbox_limits(config))
         .map_err(ServiceError::from)?;
@@ -329,72 +258,4 @@ fn introducer(config: &AggregatorConfig, broker: &Broker) -> Result<impl Fn(Devi
         names.filter_map(|name| DeviceId::new(name).ok()).for_each(&introduce);
     }
     Ok(introduce)
-}
-
-/// Returns how to reach the broker. Starts the built-in broker if the configuration asks for it.
-fn reach_broker(
-    config: &AggregatorConfig,
-    say: impl Fn(BrokerEvent) + Send + 'static,
-) -> Result<(Option<Broker>, Reach), ServeError> {
-    match (config.bind, &config.broker) {
-        (Some(bind), None) => {
-            let broker = start_broker(config, bind, say)?;
-            let reach = broker.house();
-            Ok((Some(broker), reach))
-        }
-        (None, Some(address)) => {
-            if let Some(setting) = config.setting_of_built_in_broker() {
-                return Err(ServeError::NotBuiltIn(setting));
-            }
-            let files = config.tls.as_ref().map(TlsConfig::of_client).transpose()?;
-            let tls = Tls::for_broker(address, files.as_ref()).map_err(ServeError::Tls)?;
-            let login = login(config.device, config.password_file.as_deref())?;
-            let lines = config.line_certs.clone().zip(files.map(|files| files.ca));
-            Ok((None, Reach { broker: address.clone(), tls, login, lines }))
-        }
-        _ => Err(ServeError::OneBroker),
-    }
-}
-
-/// Starts the built-in broker, unless it would accept everybody on the network unasked.
-fn start_broker(
-    config: &AggregatorConfig,
-    bind: SocketAddr,
-    say: impl Fn(BrokerEvent) + Send + 'static,
-) -> Result<Broker, ServeError> {
-    if config.password_file.is_some() {
-        return Err(ServeError::NotBuiltIn("users, not password_file,"));
-    }
-    let settings = BrokerSettings {
-        clients_max: config.clients_max,
-        memory_bytes: config.broker_memory_bytes,
-        users: config.users.as_deref().map(Users::read).transpose()?,
-        tls: config.tls.as_ref().map(TlsConfig::of_server).transpose()?,
-        site: Some(config.site),
-    };
-    if settings.is_open() && !bind.ip().is_loopback() && !config.open {
-        return Err(ServeError::Open(bind));
-    }
-    Broker::start_with(bind, settings, say).map_err(ServeError::Broker)
-}
-
-/// User and password for a broker, if there is a password.
-fn login(device: DeviceId, file: Option<&Path>) -> Result<Option<Login>, PasswordError> {
-    let password = read_password(file)?;
-    Ok(password.map(|password| Login { user: device.to_string(), password }))
-}
-
-#[cfg(test)]
-mod tests {
-    #![allow(clippy::unwrap_used)]
-    use super::*;
-
-    #[test]
-    fn one_broker_is_needed_and_one_only() {
-        for brokers in ["", "bind = \"0.0.0.0:0\"\nbroker = \"mqtt://h:1\"\n"] {
-            let config: AggregatorConfig =
-                toml::from_str(&format!("site = \"s\"\nout = \"o\"\n{brokers}")).unwrap();
-            assert!(matches!(reach_broker(&config, |_| ()), Err(ServeError::OneBroker)), "{brokers}");
-        }
-    }
 }
