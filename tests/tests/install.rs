@@ -155,6 +155,32 @@ fn units_and_example_configurations_fit_together() {
     }
 }
 
+#[test]
+fn packages_have_the_files_that_their_metadata_name() {
+    let root = Path::new(env!("CARGO_MANIFEST_DIR")).parent().unwrap();
+    for name in PROGRAMS {
+        let folder = root.join(name.strip_prefix("cosurf-").unwrap());
+        let manifest: toml::Table = fs::read_to_string(folder.join("Cargo.toml")).unwrap().parse().unwrap();
+        let deb = &manifest["package"]["metadata"]["deb"];
+        let assets = deb["assets"].as_array().unwrap();
+        let sources = assets.iter().map(|asset| asset[0].as_str().unwrap()).chain(deb["changelog"].as_str());
+        // The others are built.
+        let kept: Vec<&str> = sources.filter(|source| !source.contains("target/")).collect();
+        assert!(kept.len() > 4, "{kept:?}");
+        assert!(kept.iter().all(|source| folder.join(source).is_file()), "{name}: {kept:?}");
+        let targets = |end: &str| assets.iter().any(|asset| asset[1].as_str().unwrap().starts_with(end));
+        for place in ["usr/bin/", "usr/share/man/man1/", "usr/share/bash-completion/", "usr/lib/sysusers.d/"]
+        {
+            assert!(targets(place), "{name}: {place}");
+        }
+        let units = deb["systemd-units"]["unit-scripts"].as_str().unwrap();
+        assert!(folder.join(units).join(format!("{name}.service")).is_file());
+        let config = deb["conf-files"][0].as_str().unwrap();
+        let unit = fs::read_to_string(deploy(&format!("systemd/{name}.service"))).unwrap();
+        assert!(unit.contains(config), "{config} is the file of the unit");
+    }
+}
+
 /// Runs `doctor` in a folder with a configuration. Returns whether it succeeded, and its findings.
 fn doctor(name: &str, folder: &Path, file: &str, config: &str) -> (bool, Vec<Value>) {
     fs::write(folder.join(file), config).unwrap();
