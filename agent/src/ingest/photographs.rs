@@ -163,6 +163,7 @@ mod tests {
             photograph(&at(name), [32, 24]);
         }
         photograph(&at("portrait.jpg"), [24, 32]);
+        photograph(&at("two\nlines.jpg"), [32, 24]);
         fs::write(at("empty.jpg"), "").unwrap();
         let whole = fs::read(at("B.JPG")).unwrap();
         fs::write(at("short.JPG"), &whole[..whole.len() - 50]).unwrap();
@@ -174,16 +175,19 @@ mod tests {
         assert_eq!(found.with_gps(), 2, "geo.txt of ODM names files without folders");
         assert_eq!(found.by_lens().iter().map(Vec::len).collect::<Vec<_>>(), [1, 3]);
         let left_out: Vec<&str> = found.left_out.iter().map(|(name, _)| &**name).collect();
-        assert_eq!(left_out, ["empty.jpg", "short.JPG"]);
+        assert_eq!(left_out, ["empty.jpg", "short.JPG", "two\nlines.jpg"]);
+        assert!(found.left_out[2].1.contains("rename it"), "{:?}", found.left_out);
         assert!(found.left_out[1].1.contains("cut short"), "{:?}", found.left_out);
     }
 
     #[test]
     fn too_few_photographs_are_refused() {
         let folder = tempfile::tempdir().unwrap();
-        photograph(&folder.path().join("images/a.jpg"), [32, 24]);
-        photograph(&folder.path().join("images/b.jpg"), [32, 24]);
-        let error = Photographs::read(folder.path()).err().unwrap().to_string();
-        assert!(error.contains("images: has 2 usable photographs"), "{error}");
+        fs::create_dir(folder.path().join("images")).unwrap();
+        for (name, count) in [("notes.txt", 0), ("a.jpg", 1), ("b.jpg", 2)] {
+            photograph(&folder.path().join("images").join(name), [32, 24]);
+            let error = Photographs::read(folder.path()).err().unwrap().to_string();
+            assert!(error.contains(&format!("images: has {count} usable photographs")), "{error}");
+        }
     }
 }

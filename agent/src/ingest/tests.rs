@@ -248,6 +248,10 @@ fn folders_of_others_and_missing_programs_are_refused() {
     let other = IngestPlan { colmap: "/bin/echo".into(), out: flight.at("other"), ..flight.plan() };
     let error = flight.run(&other).0.unwrap_err().to_string();
     assert!(error.contains("is not COLMAP"), "{error}");
+    fs::write(flight.at("colmap"), SCRIPT.replace("image_undistorter", "image_rectifier")).unwrap();
+    let old = IngestPlan { out: flight.at("old"), ..flight.plan() };
+    let error = flight.run(&old).0.unwrap_err().to_string();
+    assert!(error.contains("is not COLMAP 3.6 or newer") && !error.contains('\n'), "{error}");
     let onto_photographs = IngestPlan { out: flight.at("photos"), ..flight.plan() };
     let error = flight.run(&onto_photographs).0.unwrap_err().to_string();
     assert!(error.contains("--out"), "{error}");

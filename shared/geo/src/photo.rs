@@ -120,15 +120,24 @@ mod tests {
         ]
     }
 
-    /// A file that ends after its EXIF.
-    fn info(fields: &[Field]) -> PhotoInfo {
+    /// EXIF as it lies in a file, in big-endian order.
+    fn tiff(fields: &[Field]) -> Vec<u8> {
         let mut writer = Writer::new();
         fields.iter().for_each(|field| writer.push_field(field));
         let mut tiff = Cursor::new(Vec::new());
         writer.write(&mut tiff, false).unwrap();
-        let tiff = tiff.into_inner();
+        tiff.into_inner()
+    }
+
+    /// The beginning of a JPEG file, up to the end of its EXIF.
+    fn jpeg(tiff: &[u8]) -> Vec<u8> {
         let length = u16::try_from(tiff.len() + 8).unwrap().to_be_bytes();
-        read(&[&[0xFF, 0xD8, 0xFF, 0xE1], &length[..], b"Exif\0\0", &tiff].concat())
+        [&[0xFF, 0xD8, 0xFF, 0xE1], &length[..], b"Exif\0\0", tiff].concat()
+    }
+
+    /// Of a file that ends after its EXIF.
+    fn info(fields: &[Field]) -> PhotoInfo {
+        read(&jpeg(&tiff(fields)))
     }
 
     fn read(bytes: &[u8]) -> PhotoInfo {
@@ -168,5 +177,27 @@ mod tests {
         for bytes in [&b""[..], b"\xFF\xD8\xFF\xE1\xFF\xFFExif\0\0MM", b"no picture", &[0; 5000]] {
             assert_eq!(read(bytes), PhotoInfo::default());
         }
+    }
+
+    #[test]
+    fn lengths_that_exif_claims_are_not_believed() {
+        let mut bytes = tiff(&example());
+        let first = u32::from_be_bytes(bytes[4..8].try_into().unwrap()) as usize;
+        let fields = usize::from(u16::from_be_bytes(bytes[first..first + 2].try_into().unwrap()));
+        for field in 0..fields {
+            let count = first + 2 + 12 * field + 4;
+            bytes[count..count + 4].copy_from_slice(&0xFFFF_FFF0u32.to_be_bytes());
+        }
+        assert_eq!(read(&jpeg(&bytes)).gps, None);
+    }
+
+    #[test]
+    fn of_a_large_file_only_the_beginning_is_read() {
+        let folder = tempfile::tempdir().unwrap();
+        let path = folder.path().join("A.JPG");
+        std::fs::write(&path, jpeg(&tiff(&example()))).unwrap();
+        // A gigabyte, of which the disk holds nothing.
+        File::options().write(true).open(&path).unwrap().set_len(1 << 30).unwrap();
+        assert!(PhotoInfo::read(&path).unwrap().gps.is_some());
     }
 }
