@@ -13,6 +13,7 @@
 //! mission                     pictures to report on one machine
 //!  ├─ georeference            where on the earth, taken over from a dataset or models
 //!  ├─ outputs                 mesh and report of a global model, without photographs
+//!  │   └─ survey              what a surveyor delivers of a georeferenced model
 //!  ├─ report                  figures, tables and pages
 //!  ├─ service                 models in, global model out
 //!  │   ├─ gate ─► merge       which models take part; many models to one
@@ -26,7 +27,6 @@
 //!
 //! [`viewer`] stands below `report`: a model that people walk through in a browser. [`station`] serves it, and shows what
 //! services and missions note on its board.
-//! [`survey`] stands beside `mission`: it makes what a surveyor delivers of a global model.
 //! [`worker`] stands beside `service`: it distils tiles for merges on other computers. [`pki`] stands alone: it makes the
 //! keys of a site. `quiet` limits lines in the log.
 //!

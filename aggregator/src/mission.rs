@@ -14,6 +14,7 @@ mod city;
 mod error;
 mod hierarchy;
 mod order;
+mod phases;
 mod plan;
 mod progress;
 mod signal;
@@ -26,6 +27,7 @@ use std::path::{Path, PathBuf};
 use std::sync::mpsc;
 
 use cosurf_engine::{ViewError, Views};
+use cosurf_geo::Georeference;
 use cosurf_link::BrokerAddress;
 use cosurf_scene::{Camera, Dataset, LocalFrame, SceneError, View, atomic};
 use cosurf_wire::{ModelHeader, SiteId};
@@ -34,9 +36,10 @@ use crate::broker::{Broker, Reach, local_address};
 use crate::evaluate::{Judge, Quality, Yardsticks};
 use crate::georeference::{common_georeference, write_georeference};
 use crate::merge::memory::least_bytes;
-use crate::outputs::{Relief, client, relief};
+use crate::outputs::{Relief, client, deliver, relief};
 use crate::report::{Drawings, EdgeSummary, MissionReport, Showcase, page, showcases};
 use crate::service::{Merging, global_ply, write_joined};
+use crate::survey::{Accuracy, CONTOURS_M, SurveyError, SurveyOrder};
 use crate::terminal::Meter;
 use crate::views::open_within;
 use agents::{AgentCommand, AgentProcesses};
@@ -45,6 +48,7 @@ pub use city::MakeCityError;
 pub use error::MissionError;
 use hierarchy::{Hierarchy, edge_folder, lowest_folders};
 pub use order::{MissionOrder, Surroundings};
+use phases::Phases;
 use plan::{Edge, Plan};
 pub use plan::{PlanError, Settings};
 use progress::show_pictures;
@@ -52,10 +56,24 @@ use signal::Signal;
 use summary::summarize;
 use watch::{EdgeStatus, Watch};
 
-/// Runs the mission and writes `global.ply`, `mesh.ply`, `report.json` and `report.html` to its folder. It is no error
-/// if some agents fail or no mesh can be made: the report lists these failures.
-pub fn fly(order: &MissionOrder, around: &Surroundings) -> Result<MissionReport, MissionError> {
+/// Folder of the survey in that of a mission.
+pub const SURVEY: &str = "survey";
+
+/// What a mission made.
+#[derive(Clone, Debug, PartialEq)]
+pub struct Flown {
+    /// The figures.
+    pub report: MissionReport,
+    /// What the survey made, in the folder [`SURVEY`]; `None` if it failed, or if nothing tells where the model lies.
+    pub accuracy: Option<Accuracy>,
+}
+
+/// Runs the mission and writes `global.ply`, `mesh.ply`, `report.json` and `report.html` to its folder, and a survey if the
+/// data tell where on the earth they lie. It is no error if some agents fail, or if no mesh or survey can be made: the report
+/// lists these failures.
+pub fn fly(order: &MissionOrder, around: &Surroundings) -> Result<Flown, MissionError> {
     let begun = (around.now)();
+    let mut phases = Phases::begin(around, order.ingest_s);
     fs::create_dir_all(&order.out).map_err(|cause| SceneError::io(&order.out, cause))?;
     if let Some(city) = &order.city {
         let progress = |done, of| show_pictures(around.display, done, of);
@@ -71,9 +89,12 @@ pub fn fly(order: &MissionOrder, around: &Surroundings) -> Result<MissionReport,
     let plan = Plan::make(&dataset, &order.settings, &order.out, fresh_site)?;
     dataset.points = Vec::new(); // only agents need them
     check_memory(&dataset, &order.settings)?;
+    phases.end("preparing");
     let Gathered { global, board, edges } = gather(order, around, &plan)?;
+    phases.end("training and merging");
     let scene = Scene { dataset: dataset.into_frame(&frame), frame };
     let relief = mesh(order, around, &scene)?;
+    phases.end("mesh");
     let scored = judge(order, around, &scene, &plan, &yardsticks, &relief);
     let (evaluation, scores_failure) = or_too_little_memory(scored)?;
     let evaluation = evaluation.unwrap_or_default();
@@ -90,11 +111,41 @@ pub fn fly(order: &MissionOrder, around: &Surroundings) -> Result<MissionReport,
     report.whole.merging = Merging::read(&order.out);
     report.edges =
         plan.edges.iter().zip(&edges).map(|(edge, status)| summary(order, &plan, edge, status)).collect();
+    phases.end("scores");
+    let surveyed = georeference.map(|georeference| survey(order, around, georeference));
+    if surveyed.is_some() {
+        phases.end("survey");
+    }
+    let (accuracy, failure) = surveyed.map_or((None, None), |surveyed| match surveyed {
+        Ok(accuracy) => (Some(accuracy), None),
+        Err(error) => (None, Some(error.to_string())),
+    });
+    report.whole.survey_failure = failure;
+    report.whole.phases = phases.into_times();
     report.whole.aggregator_peak_memory_bytes = (around.peak_memory_bytes)();
     let client = client(&order.out, order.settings.merge.memory_bytes, around.cores);
     let (cells, views, showcases) = (&plan.cells, &plan.views, &evaluation.showcases);
     write_report(&order.out, &report, &Drawings { client: &client, cells, views, showcases })?;
-    Ok(report)
+    Ok(Flown { report, accuracy })
+}
+
+/// Makes the deliverables of the global model.
+fn survey(
+    order: &MissionOrder,
+    around: &Surroundings,
+    georeference: Georeference,
+) -> Result<Accuracy, SurveyError> {
+    let survey = SurveyOrder {
+        folder: order.out.clone(),
+        out: order.out.join(SURVEY),
+        georeference,
+        gsd_m: None,
+        contours_m: CONTOURS_M,
+        volumes: None,
+        memory_bytes: order.settings.merge.memory_bytes,
+        threads: around.cores,
+    };
+    deliver(&survey, around.display, || (around.now)())
 }
 
 /// Fails before the training if no merge of the agents' models will be possible within the memory for merges.

@@ -1,4 +1,5 @@
-//! What is made of a global model for people: `mesh.ply`, and a report with pictures that needs no photographs.
+//! What is made of a global model for people: `mesh.ply`, a report with pictures that needs no photographs, and a survey
+//! with its progress.
 //!
 //! What it knows nothing about: how the model was merged, beyond the record of the merge, and when a report is due, which
 //! the service decides.
@@ -6,6 +7,7 @@
 //! Where to start reading: [`report`].
 
 mod client;
+mod deliver;
 mod relief;
 
 use std::ops::ControlFlow;
@@ -18,6 +20,7 @@ use crate::report::{MeshSummary, SitePicture, SiteReport, site_page};
 use crate::service::{Merging, ReportError, ReportTask, Reported, file_hash, global_ply, remove};
 use crate::views::open_within;
 pub(crate) use client::client;
+pub use deliver::deliver;
 pub(crate) use relief::{Relief, relief};
 
 /// Number of cameras whose views the report shows.

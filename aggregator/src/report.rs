@@ -25,7 +25,7 @@ mod texts;
 
 pub(crate) use client::Client;
 pub(crate) use embed::Captioned;
-pub use figures::{AgentSummary, EdgeSummary, MeshSummary, MissionReport, WholeSummary};
+pub use figures::{AgentSummary, EdgeSummary, MeshSummary, MissionReport, PhaseTime, WholeSummary};
 pub(crate) use page::{Drawings, page};
 pub(crate) use showcase::{Showcase, ShowcaseError, showcases};
 pub use site::SiteReport;

@@ -68,6 +68,9 @@ pub use volumes::Volume;
 use volumes::{find_volumes, read_polygons};
 use witnesses::Witnesses;
 
+/// Usual difference of height between two contours, metres.
+pub const CONTOURS_M: f64 = 1.0;
+
 /// What to make.
 #[derive(Clone, Debug)]
 pub struct SurveyOrder {

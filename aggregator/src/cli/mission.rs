@@ -8,12 +8,11 @@ use std::time::Instant;
 
 use anyhow::{Context, Result, bail, ensure};
 use clap::Args;
-use cosurf_aggregator::mission::{MissionError, MissionOrder, Settings, Surroundings, fly};
+use cosurf_aggregator::mission::{Flown, MissionError, MissionOrder, SURVEY, Settings, Surroundings, fly};
 use cosurf_aggregator::partition::{DEFAULT_MARGIN, Division, read_cells};
 use cosurf_aggregator::report::{MissionReport, table};
 use cosurf_city::CitySettings;
 use cosurf_contract::usage;
-use cosurf_geo::Georeference;
 use cosurf_link::BrokerAddress;
 use cosurf_scene::bytes::parse_bytes;
 use cosurf_scene::{Dataset, FolderLock};
@@ -99,11 +98,13 @@ pub(crate) fn run(args: MissionArgs) -> Result<()> {
     let site = args.http.serve(&out, false)?;
     let around =
         Surroundings { board: site.as_ref().map(|site| site.board.clone()), ..surroundings(args.json)? };
-    let data = match data {
+    let (data, ingest_s) = match data {
         Some(photographs) if Dataset::is_without_poses(&photographs) => {
-            Some(ingest(&around.agent, &photographs, &out.join("data"), args.json)?)
+            let begun = (around.now)();
+            let data = ingest(&around.agent, &photographs, &out.join("data"), args.json)?;
+            (Some(data), Some(((around.now)() - begun).as_secs_f64()))
         }
-        data => data,
+        data => (data, None),
     };
     if args.broker.as_ref().is_some_and(|broker| broker.is_tls) {
         bail!("--broker: a mission does not use TLS; give an mqtt:// or ws:// address");
@@ -122,21 +123,26 @@ pub(crate) fn run(args: MissionArgs) -> Result<()> {
             compress_first: args.compress_first,
             merge: args.ways.settings(true, args.merge_memory, args.seed),
         },
+        ingest_s,
         city: data.is_none().then(|| city_of_seed(args.seed)),
         out,
         broker: args.broker,
         lpips: args.lpips,
     };
-    let report = fly(&order, &around)?;
+    let Flown { report, accuracy } = fly(&order, &around)?;
     print_report(&report, &order.out, args.json)?;
-    if Georeference::of_folder(&order.out)?.is_some() {
-        deliver(order.out.clone(), args.merge_memory, args.json)?;
+    if let Some(accuracy) = accuracy {
+        let survey_s = report.whole.phases.last().map_or(0.0, |phase| phase.seconds);
+        super::survey::print(&accuracy, &order.out.join(SURVEY), survey_s, args.json)?;
     }
     let failed =
         report.agents.iter().filter_map(|agent| agent.failure.as_ref().map(|why| (&agent.device, why)));
     let failed: Vec<String> = failed.map(|(device, why)| format!("{device} failed: {why}")).collect();
     if !failed.is_empty() {
         bail!("the global model lacks the models of some agents: {}", failed.join("; "));
+    }
+    if let Some(why) = &report.whole.survey_failure {
+        bail!("the survey failed: {why}");
     }
     Ok(())
 }
@@ -154,12 +160,6 @@ fn ingest(agent: &Path, photographs: &Path, data: &Path, json: bool) -> Result<P
     let status = command.status().with_context(|| agent.display().to_string())?;
     ensure!(status.success(), "no dataset could be made of {}; see above", photographs.display());
     Ok(data.to_owned())
-}
-
-/// Writes maps and points of a mission's model.
-fn deliver(folder: PathBuf, memory_bytes: u64, json: bool) -> Result<()> {
-    let out = folder.join("survey");
-    super::survey::run(&super::survey::SurveyArgs::of(folder, out, memory_bytes, json))
 }
 
 fn division(args: &MissionArgs) -> Result<Division> {

@@ -1,22 +1,19 @@
 //! `survey`: writes what a surveyor delivers of a model.
 
 use std::io::{self, Write};
-use std::path::PathBuf;
+use std::path::{Path, PathBuf};
 use std::time::Instant;
 
 use anyhow::{Result, bail, ensure};
 use clap::Args;
-use cosurf_aggregator::Meter;
-use cosurf_aggregator::survey::{Accuracy, SurveyEvent, SurveyOrder, survey};
+use cosurf_aggregator::outputs::deliver;
+use cosurf_aggregator::survey::{Accuracy, CONTOURS_M, SurveyOrder};
 use cosurf_contract::counted;
 use cosurf_geo::{Geodetic, Georeference};
 use cosurf_scene::bytes::parse_bytes;
 
 use super::arguments::parse_length;
 use super::host::{cores, display};
-
-/// Usual difference of height between two contours, metres.
-const CONTOURS_M: f64 = 1.0;
 
 /// Make maps, points, a mesh, contours and volumes of a georeferenced model, with a statement of their accuracy.
 ///
@@ -61,14 +58,6 @@ pub(crate) struct SurveyArgs {
     json: bool,
 }
 
-impl SurveyArgs {
-    /// A survey of a folder with the usual settings.
-    pub(crate) fn of(folder: PathBuf, out: PathBuf, memory: u64, json: bool) -> Self {
-        let (origin, epsg, gsd, volumes) = (None, None, None, None);
-        Self { folder, out, origin, epsg, gsd, contours: CONTOURS_M, volumes, memory, json }
-    }
-}
-
 pub(crate) fn run(args: &SurveyArgs) -> Result<()> {
     let order = SurveyOrder {
         folder: args.folder.clone(),
@@ -81,18 +70,8 @@ pub(crate) fn run(args: &SurveyArgs) -> Result<()> {
         threads: cores(),
     };
     let begun = Instant::now();
-    let mut meter = Meter::new(display(args.json));
-    let accuracy = survey(&order, |event| {
-        let now_s = begun.elapsed().as_secs_f64();
-        match event {
-            SurveyEvent::Fusion(event) => meter.show_fusion(event, now_s),
-            SurveyEvent::Counted { what, stage, done, of } => {
-                meter.show_counted(what, stage, done, of, now_s)
-            }
-        }
-    })?;
-    meter.finish();
-    print(args, &accuracy, begun.elapsed().as_secs_f64())
+    let accuracy = deliver(&order, display(args.json), || begun.elapsed())?;
+    print(&accuracy, &args.out, begun.elapsed().as_secs_f64(), args.json)
 }
 
 /// Where the model lies, from the options or from its folder.
@@ -114,9 +93,10 @@ fn georeference(args: &SurveyArgs) -> Result<Georeference> {
     Ok(georeference)
 }
 
-fn print(args: &SurveyArgs, accuracy: &Accuracy, seconds: f64) -> Result<()> {
+/// Prints what a survey made in the folder `out`.
+pub(super) fn print(accuracy: &Accuracy, out: &Path, seconds: f64, json: bool) -> Result<()> {
     let mut stdout = io::stdout().lock();
-    if args.json {
+    if json {
         let line = serde_json::json!({"event": "survey", "accuracy": accuracy, "seconds": seconds});
         writeln!(stdout, "{line}")?;
         return Ok(());
@@ -130,8 +110,8 @@ fn print(args: &SurveyArgs, accuracy: &Accuracy, seconds: f64) -> Result<()> {
         counted(*points, "point"),
     )?;
     for made in &accuracy.made {
-        writeln!(stdout, "{}", args.out.join(made.file).display())?;
+        writeln!(stdout, "{}", out.join(made.file).display())?;
     }
-    writeln!(stdout, "{}", args.out.join("accuracy.json").display())?;
+    writeln!(stdout, "{}", out.join("accuracy.json").display())?;
     Ok(())
 }

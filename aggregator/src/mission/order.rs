@@ -17,6 +17,8 @@ use crate::terminal::Display;
 pub struct MissionOrder {
     /// Settings that decide the result; paths are absolute.
     pub settings: Settings,
+    /// How long it took to make the dataset of photographs, seconds; `None` if it was there.
+    pub ingest_s: Option<f64>,
     /// The synthetic city to render first as the dataset; `None` if the dataset exists.
     pub city: Option<CitySettings>,
     /// The output folder, absolute; created if it is missing.

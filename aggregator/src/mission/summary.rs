@@ -8,8 +8,8 @@ use crate::evaluate::Quality;
 use crate::report::{AgentSummary, MissionReport, WholeSummary};
 
 /// Makes the report from the agents' statuses and the global model's scores. `qualities` are the scores of the held-out
-/// views, in the order of the views; none if the model was not scored. The caller fills in duration, mesh, merges, edges, the score of the joined models,
-/// and the aggregators' memory.
+/// views, in the order of the views; none if the model was not scored. The caller fills in durations, mesh, merges, edges, the score of the
+/// joined models, the survey, and the aggregators' memory.
 pub(crate) fn summarize(
     plan: &Plan,
     settings: &Settings,
@@ -59,6 +59,8 @@ pub(crate) fn summarize(
         mesh: None,
         mesh_failure: None,
         scores_failure: None,
+        survey_failure: None,
+        phases: Vec::new(),
     };
     MissionReport { data: settings.data.clone(), seed: settings.seed, agents, edges: Vec::new(), whole }
 }

@@ -16,7 +16,15 @@ use super::svg::escape;
 use crate::viewer::{self, Walkable};
 
 /// The files that may lie beside a report, with what a client can do with them.
-const FILES: [(&str, &str); 5] = [
+const FILES: [(&str, &str); 13] = [
+    ("survey/ortho.tif", "the site from straight above, as a map"),
+    ("survey/dsm.tif", "heights of the highest surface, as a map"),
+    ("survey/dtm.tif", "heights of the bare ground, as a map"),
+    ("survey/confidence.tif", "how exact the heights are, as a map"),
+    ("survey/contours.geojson", "lines of equal height"),
+    ("survey/points.laz", "the surface as a cloud of points"),
+    ("survey/mesh.glb", "the surface as triangles, for viewers"),
+    ("survey/accuracy.json", "what the maps are, and how exact, for programs"),
     ("mesh.ply", "the surface as triangles, for CAD and mesh programs"),
     ("global.ply", "the model as splats, for splat viewers"),
     ("geo.json", "the place on the earth, and residuals of GPS and control points"),
@@ -153,9 +161,11 @@ fn row(name: &str, count: usize, horizontal_m: f64, vertical_m: f64) -> String {
 
 /// Links to the files that lie beside the report.
 fn files(client: &Client) -> String {
+    // A survey whose accuracy.json is missing is incomplete, or of an earlier model.
     let is_there = |name: &str| client.folder.join(name).is_file();
+    let is_whole = |name: &str| !name.starts_with("survey/") || is_there("survey/accuracy.json");
     let mut html = String::from("<h2>Files</h2>\n<ul class=\"files\">");
-    for (name, what) in FILES.into_iter().filter(|(name, _)| is_there(name)) {
+    for (name, what) in FILES.into_iter().filter(|(name, _)| is_there(name) && is_whole(name)) {
         let _ = write!(html, "<li><a href=\"{name}\">{name}</a> {what}</li>");
     }
     html + "</ul>\n"
@@ -164,6 +174,8 @@ fn files(client: &Client) -> String {
 #[cfg(test)]
 pub(crate) mod tests {
     #![allow(clippy::unwrap_used)]
+    use std::fs;
+
     use cosurf_geo::GpsResiduals;
     use cosurf_scene::{LocalFrame, Picture, ply};
 
@@ -197,6 +209,11 @@ pub(crate) mod tests {
             assert!(html.contains(part), "{part}: {html}");
         }
         assert!(!html.contains("mesh.ply"), "a file that is not there has no link");
+        fs::create_dir(folder.path().join("survey")).unwrap();
+        fs::write(folder.path().join("survey/dsm.tif"), "a map").unwrap();
+        assert!(!section(&client, "x").contains("dsm.tif"), "the survey is incomplete");
+        fs::write(folder.path().join("survey/accuracy.json"), "{}").unwrap();
+        assert!(section(&client, "x").contains("href=\"survey/dsm.tif\""));
         assert!(script.contains("id=\"viewer-model\">H4sI") && script.contains("startViewer"));
     }
 

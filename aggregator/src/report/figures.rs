@@ -98,6 +98,21 @@ pub struct WholeSummary {
     pub mesh: Option<MeshSummary>,
     /// Why no mesh was made; absent if there is one.
     pub mesh_failure: Option<String>,
+    /// Why the survey failed; absent if it was made, or if nothing tells where the model lies.
+    #[serde(default)]
+    pub survey_failure: Option<String>,
+    /// How long each phase took, in their order.
+    #[serde(default)]
+    pub phases: Vec<PhaseTime>,
+}
+
+/// How long a phase of a mission took.
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
+pub struct PhaseTime {
+    /// What happened in it, in a few words.
+    pub phase: String,
+    /// Wall time, seconds.
+    pub seconds: f64,
 }
 
 /// The figures of a mesh.

@@ -10,7 +10,7 @@ use super::frame::group_digits;
 use super::rows::{depth_normal_text, depth_text, lpips_text, normal_text, rows};
 use super::showcase::Showcase;
 use super::svg::{agent_color, escape};
-use super::texts::{merge_texts, remarks};
+use super::texts::{merge_texts, phases_text, remarks};
 use super::{chart, fits, frame, map};
 use crate::evaluate::Quality;
 use crate::partition::{AssignedView, Cell};
@@ -88,7 +88,7 @@ fn agents(html: &mut String, report: &MissionReport) {
     }
     html.push_str("</tbody></table></div>\n");
     explanation(html, report.whole.quality.as_ref());
-    for text in merge_texts(report) {
+    for text in merge_texts(report).into_iter().chain(phases_text(report)) {
         let _ = write!(html, "<p>{}</p>", escape(&text));
     }
     html.push_str(&frame::remarks(&remarks(report)));

@@ -11,8 +11,17 @@ use cosurf_contract::counted;
 
 /// The table of the figures for a terminal, followed by the sentences on merges.
 pub fn table(report: &MissionReport) -> String {
-    let sentences: String = merge_texts(report).iter().map(|text| format!("\n{text}\n")).collect();
+    let texts = merge_texts(report).into_iter().chain(phases_text(report));
+    let sentences: String = texts.map(|text| format!("\n{text}\n")).collect();
     aligned(&rows(report)) + &sentences
+}
+
+/// How long the phases took, in one sentence; `None` if nobody measured it.
+pub(crate) fn phases_text(report: &MissionReport) -> Option<String> {
+    let phases = &report.whole.phases;
+    let each: Vec<String> =
+        phases.iter().map(|phase| format!("{} {}", phase.phase, format_seconds(phase.seconds))).collect();
+    (!each.is_empty()).then(|| format!("What took how long: {}.", each.join(", ")))
 }
 
 /// One text on each known merge: first the merges of the edges, then that of the root.
@@ -74,6 +83,7 @@ pub(crate) fn remarks(report: &MissionReport) -> Vec<String> {
     merges.flatten().for_each(|merging| remarks.extend(merge_remarks(merging)));
     remarks.extend(report.whole.mesh_failure.iter().map(|failure| format!("no mesh: {failure}")));
     remarks.extend(report.whole.scores_failure.iter().map(|failure| format!("no scores: {failure}")));
+    remarks.extend(report.whole.survey_failure.iter().map(|failure| format!("no survey: {failure}")));
     remarks
 }
 
@@ -99,7 +109,7 @@ pub(crate) mod tests {
     #![allow(clippy::unwrap_used)]
     use cosurf_contract::{Curve, TrainReport};
 
-    use super::super::figures::{AgentSummary, MeshSummary, WholeSummary};
+    use super::super::figures::{AgentSummary, MeshSummary, PhaseTime, WholeSummary};
     use super::*;
     use crate::evaluate::{LpipsScore, Quality, Spread, SurfaceQuality};
     use crate::merge::{LocalSummary, MergeSettings, MergeSummary};
@@ -184,6 +194,8 @@ pub(crate) mod tests {
                 mesh: Some(MeshSummary { triangles: 4321, voxel_m: 0.25 }),
                 mesh_failure: None,
                 scores_failure: None,
+                survey_failure: None,
+                phases: Vec::new(),
             },
         }
     }
@@ -217,6 +229,17 @@ pub(crate) mod tests {
         assert_eq!(remarks.len(), 3, "{remarks:?}");
         assert!(remarks[0].contains("died once") && remarks[1].contains("shrunk"), "{remarks:?}");
         assert!(remarks[2].starts_with("agent-2 failed"), "{remarks:?}");
+    }
+
+    #[test]
+    fn phases_and_a_failed_survey_are_told() {
+        let mut report = example();
+        let phase = |phase: &str, seconds| PhaseTime { phase: phase.into(), seconds };
+        report.whole.phases = vec![phase("mesh", 65.0), phase("survey", 9.0)];
+        report.whole.survey_failure = Some("too large".into());
+        let table = table(&report);
+        assert!(table.ends_with("What took how long: mesh 1 min 05 s, survey 9 s.\n"), "{table}");
+        assert_eq!(remarks(&report).last().unwrap(), "no survey: too large");
     }
 
     /// Of three models, the first is kept out and of the second only a part had arrived. So the figures are those of the
