@@ -1,8 +1,8 @@
 //! What a surveyor delivers of a model: heights and a true orthophoto as maps, points, a mesh, contours, volumes, and a
 //! statement of how accurate they are.
 //!
-//! A mesh is fused from renderings of all cameras ([`crate::mesh`]): it has no floaters, so heights and points come from
-//! it. The colours of the map come from the splats, rendered straight down. Both are computed tile by tile into files
+//! A mesh is fused from renderings of all cameras ([`crate::mesh`]): it has few floaters, so heights and points come from
+//! it. Heights that do not agree with what the cameras show are left out. The colours of the map come from the splats, rendered straight down. Both are computed tile by tile into files
 //! without names, from which the deliverables are then written. So the memory is that of the fusion: all that follows
 //! needs less, because it has the mesh or the splats but never both, and one tile at a time.
 //!
@@ -13,7 +13,8 @@
 //!
 //! ```text
 //! survey ─► accuracy, cog, points, solid, contours, volumes   the files
-//!            └─ heights, terrain, views, splats, colors       the surface, the ground, what cameras and nobody see of them
+//!            └─ confidence ─► views                          how wrong heights may be; what cameras show of them
+//!            └─ heights, terrain, splats, colors              the surface, the ground, what nobody sees of them
 //!                └─ lattice, tiles, grid ─► place             pixels of the map; values of pixels; where on the earth
 //!                └─ scene, quadtree, parts                    the model; parts of its mesh
 //! ```
@@ -21,6 +22,7 @@
 mod accuracy;
 mod cog;
 mod colors;
+mod confidence;
 mod contours;
 mod error;
 mod grid;
@@ -51,6 +53,7 @@ use crate::mesh::FuseEvent;
 use crate::service::remove;
 pub use accuracy::{Accuracy, MadeFile, PointsAccuracy};
 use accuracy::{Made, accuracy_of};
+use confidence::find_claims;
 use contours::{ContourOrder, write_contours};
 pub use error::SurveyError;
 use heights::{Covered, Ground, Surface, find_heights};
@@ -130,9 +133,23 @@ pub fn survey(order: &SurveyOrder, mut on_event: impl FnMut(SurveyEvent)) -> Res
     let mut show = |what, stage, done, of| on_event(SurveyEvent::Counted { what, stage, done, of });
     let voxel_m = relief.voxel_m;
     let shape = Shape::of(relief, &scene, place, order, |d, n| show("tile", "heights", d, n))?;
-    let Shape { lattice, covered, mut heights, points, solid } = shape;
-    cog::write_heights(&out("dsm.tif"), &lattice, &mut heights)?;
+    let Shape { lattice, mut heights, points, solid } = shape;
     write_ground(&order.out, order, &lattice, &mut heights)?;
+
+    let splats_left_out =
+        write_colors(&scene, order, &lattice, &mut heights, voxel_m, |d, n| show("tile", "colours", d, n))?;
+
+    let mut views = Tiles::<Views>::new(&order.out, lattice.size_px(), lattice::TILE_PX)?;
+    let view_order = ViewOrder { voxel_m, memory_bytes: order.memory_bytes, threads: order.threads };
+    find_views(&scene, &lattice, &mut heights, &mut views, &view_order, |d, n| {
+        show("view", "comparing", d, n)
+    })?;
+    let mut claims = Tiles::new(&order.out, lattice.size_px(), lattice::TILE_PX)?;
+    let height_error_m = find_claims(&lattice, voxel_m, &mut heights, &mut views, &mut claims)?
+        .ok_or(SurveyError::NothingSeen)?;
+    cog::write_claims(&out("confidence.tif"), &lattice, &mut claims)?;
+    cog::write_heights(&out("dsm.tif"), &lattice, &mut heights)?;
+    let covered = Covered::of(&lattice, &mut heights)?.ok_or(SurveyError::NothingSeen)?;
     let volumes = match &polygons {
         Some(polygons) => Some(find_volumes(polygons, &lattice, &mut heights)?),
         None => None,
@@ -141,22 +158,8 @@ pub fn survey(order: &SurveyOrder, mut on_event: impl FnMut(SurveyEvent)) -> Res
         atomic::write_bytes(&out("volumes.json"), volumes::to_json(volumes).as_bytes())?;
     }
 
-    let mut views = Tiles::<Views>::new(&order.out, lattice.size_px(), lattice::TILE_PX)?;
-    let view_order = ViewOrder { voxel_m, memory_bytes: order.memory_bytes, threads: order.threads };
-    find_views(&scene, &lattice, &mut heights, &mut views, &view_order, |d, n| {
-        show("view", "comparing", d, n)
-    })?;
-    cog::write_views(&out("confidence.tif"), &lattice, &mut views)?;
-    drop(views);
-
-    let kept = splats_from_above(&scene, &lattice, &mut heights, voxel_m)?;
-    let mut colors = Tiles::new(&order.out, lattice.size_px(), lattice::TILE_PX)?;
-    let painter = colors::Painter::new(&kept.splats, scene.frame, order.threads);
-    painter.paint(&lattice, &mut heights, &mut colors, |d, n| show("tile", "colours", d, n))?;
-    cog::write_colors(&out("ortho.tif"), &lattice, &mut colors)?;
-
     let cameras = scene.cameras.len();
-    let made = Made { covered, points, solid, voxel_m, cameras, splats_left_out: kept.left_out };
+    let made = Made { covered, height_error_m, points, solid, voxel_m, cameras, splats_left_out };
     let accuracy = accuracy_of(&order.georeference, &lattice, &made, order.contours_m, volumes.is_some());
     atomic::write_bytes(&accuracy_file, accuracy.to_json().as_bytes())?;
     Ok(accuracy)
@@ -165,7 +168,6 @@ pub fn survey(order: &SurveyOrder, mut on_event: impl FnMut(SurveyEvent)) -> Res
 /// What the mesh gives.
 struct Shape {
     lattice: Lattice,
-    covered: Covered,
     heights: Tiles<f32>,
     /// Number of points in `points.laz`.
     points: u64,
@@ -193,12 +195,32 @@ impl Shape {
         let solid = write_solid(out, &mesh, &tree, &scene.frame, place, voxel_m)?;
         let surface = Surface { mesh: &mesh, tree: &tree, frame: &scene.frame, ceiling_m: ground.ceiling_m };
         let mut heights = Tiles::new(out, lattice.size_px(), lattice::TILE_PX)?;
-        let covered = find_heights(&surface, &witnesses, &lattice, &mut heights, on_tile)?;
-        if covered.pixels == 0 {
+        if !find_heights(&surface, &witnesses, &lattice, &mut heights, on_tile)? {
             return Err(SurveyError::NothingSeen);
         }
-        Ok(Self { lattice, covered, heights, points, solid })
+        Ok(Self { lattice, heights, points, solid })
     }
+}
+
+/// Writes the orthophoto, and returns how many splats float and are not in it.
+fn write_colors(
+    scene: &Scene,
+    order: &SurveyOrder,
+    lattice: &Lattice,
+    heights: &mut Tiles<f32>,
+    voxel_m: f64,
+    on_tile: impl FnMut(usize, usize),
+) -> Result<usize, SurveyError> {
+    let kept = splats_from_above(scene, lattice, heights, voxel_m)?;
+    let mut colors = Tiles::new(&order.out, lattice.size_px(), lattice::TILE_PX)?;
+    colors::Painter::new(&kept.splats, scene.frame, order.threads).paint(
+        lattice,
+        heights,
+        &mut colors,
+        on_tile,
+    )?;
+    cog::write_colors(&order.out.join("ortho.tif"), lattice, &mut colors)?;
+    Ok(kept.left_out)
 }
 
 /// Writes the terrain and its contours.

@@ -18,10 +18,10 @@ use super::host::{cores, display};
 /// Make maps, points, a mesh, contours and volumes of a georeferenced model, with a statement of their accuracy.
 ///
 /// Writes to the folder OUT: dsm.tif (heights of the highest surface: ground, roofs and trees), dtm.tif (heights of the bare
-/// ground), ortho.tif (a true orthophoto) and confidence.tif (views of each pixel, and how far apart they are), all
-/// Cloud-Optimised GeoTIFF; points.laz, a Cloud-Optimised Point Cloud; mesh.glb; tileset.json and the folder tiles, the mesh
-/// as 3D Tiles; contours.geojson, of the bare ground; volumes.json with --volumes; and accuracy.json, last. Heights are metres
-/// above the ellipsoid of WGS 84.
+/// ground), ortho.tif (a true orthophoto) and confidence.tif (views of each pixel, how far apart they are, and how wrong its
+/// height may be), all Cloud-Optimised GeoTIFF; points.laz, a Cloud-Optimised Point Cloud; mesh.glb; tileset.json and the
+/// folder tiles, the mesh as 3D Tiles; contours.geojson, of the bare ground; volumes.json with --volumes; and accuracy.json,
+/// last. Heights are metres above the ellipsoid of WGS 84.
 ///
 /// The world of the model must be metres east, north and up of an origin. geo.json in DIR tells where that is, or
 /// --origin does.

@@ -27,6 +27,8 @@ pub struct Accuracy {
     pub covered_m2: f64,
     /// Lowest and highest height, metres.
     pub height_range_m: [f64; 2],
+    /// Median of the errors of heights that `confidence.tif` claims, metres.
+    pub height_error_m: f64,
     /// Number of points in `points.laz`.
     pub points: u64,
     /// Points per square metre of the covered area.
@@ -75,6 +77,7 @@ pub struct MadeFile {
 #[derive(Clone, Copy, Debug)]
 pub(super) struct Made {
     pub(super) covered: Covered,
+    pub(super) height_error_m: f64,
     pub(super) points: u64,
     pub(super) solid: SolidSize,
     pub(super) voxel_m: f64,
@@ -89,7 +92,7 @@ pub(super) fn accuracy_of(
     contours_m: f64,
     has_volumes: bool,
 ) -> Accuracy {
-    let Made { covered, points, solid, voxel_m, cameras, splats_left_out } = *made;
+    let Made { covered, height_error_m, points, solid, voxel_m, cameras, splats_left_out } = *made;
     Accuracy {
         origin: georeference.origin,
         epsg: georeference.epsg,
@@ -98,6 +101,7 @@ pub(super) fn accuracy_of(
         size_px: lattice.size_px(),
         covered_m2: covered.area_m2,
         height_range_m: covered.range_m,
+        height_error_m,
         points,
         points_per_m2: points as f64 / covered.area_m2,
         voxel_m,
@@ -115,10 +119,10 @@ pub(super) fn accuracy_of(
 
 fn made_files(contours_m: f64, has_volumes: bool) -> Vec<MadeFile> {
     let mut files = vec![
-        ("dsm.tif", "Highest surface of a mesh, at the centre of each pixel that two cameras see; the mesh was fused from the model's depth in all cameras.".into()),
+        ("dsm.tif", "Highest surface of a mesh, at the centre of each pixel, if three cameras show it and few look through it; the mesh was fused from the model's depth in all cameras.".into()),
         ("dtm.tif", "Heights of dsm.tif where the progressive morphological filter (Zhang et al. 2003) finds bare ground, and between them heights of the ground around.".into()),
         ("ortho.tif", "The splats of the model, rendered from straight above each pixel, without those that float above the mesh.".into()),
-        ("confidence.tif", "How many views show the surface of dsm.tif at each pixel, and the root mean square of the differences between the heights they show and dsm.tif, metres.".into()),
+        ("confidence.tif", "How many views show the surface of dsm.tif at each pixel; the root mean square of the differences between the heights they show and dsm.tif, metres; and the error that about 68 % of such heights stay below, metres, by a model of views, differences and edges that was fitted to two known surfaces.".into()),
         ("points.laz", "The vertices of the mesh that two cameras see, with its colours, as a Cloud-Optimised Point Cloud.".into()),
         ("mesh.glb", "The mesh where two cameras see it, decimated by quadric errors of position and colour; colours belong to vertices.".into()),
         ("tileset.json", "The same mesh as a quadtree of tiles, each level decimated further.".into()),

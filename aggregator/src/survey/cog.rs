@@ -1,6 +1,6 @@
 //! Maps as Cloud-Optimised GeoTIFF: tiled, deflated, with overviews, readable piece by piece over a network.
 //!
-//! What it knows nothing about: how heights, views and colours were found.
+//! What it knows nothing about: how heights, claims and colours were found.
 
 use std::io;
 use std::path::Path;
@@ -13,9 +13,9 @@ use geotiff_writer::{
 use glam::DVec2;
 use ndarray::{ArrayView2, ArrayView3};
 
+use super::confidence::Claim;
 use super::lattice::{Lattice, TILE_PX, Window};
 use super::tiles::Tiles;
-use super::views::Views;
 
 /// What stands in the files where there is nothing.
 const NO_HEIGHT: f32 = -9999.0;
@@ -42,20 +42,22 @@ pub(super) fn write_heights(
     })
 }
 
-/// Writes, as 32-bit floats, how many views see each pixel and how far from the surface they show it, metres.
-pub(super) fn write_views(
+/// Writes, as 32-bit floats, what is claimed of each height: number of views, spread and error, metres.
+pub(super) fn write_claims(
     path: &Path,
     lattice: &Lattice,
-    views: &mut Tiles<Views>,
+    claims: &mut Tiles<Claim>,
 ) -> Result<(), SceneError> {
-    let builder = builder(lattice).bands(2).nodata(&NO_HEIGHT.to_string());
-    write(path, lattice, builder, views, |writer, window, values| {
-        let bands =
-            |views: &Views| views.spread_m().map_or([NO_HEIGHT; 2], |spread_m| [views.count, spread_m]);
-        let values: Vec<[f32; 2]> = values.iter().map(bands).collect();
+    let builder = builder(lattice).bands(3).nodata(&NO_HEIGHT.to_string());
+    write(path, lattice, builder, claims, |writer, window, values| {
+        let bands = |claim: &Claim| match claim.views > 0.0 {
+            true => [claim.views, claim.spread_m, claim.error_m],
+            false => [NO_HEIGHT; 3],
+        };
+        let values: Vec<[f32; 3]> = values.iter().map(bands).collect();
         let [width, height] = window.size.map(|side| side as usize);
         let view =
-            ArrayView3::from_shape((height, width, 2), values.as_flattened()).map_err(io::Error::other)?;
+            ArrayView3::from_shape((height, width, 3), values.as_flattened()).map_err(io::Error::other)?;
         let [x, y] = window.at.map(|at| at as usize);
         writer.write_tile_3d(x, y, &view).map_err(io::Error::other)
     })

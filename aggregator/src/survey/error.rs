@@ -18,9 +18,9 @@ pub enum SurveyError {
     /// No mesh can be made.
     #[error(transparent)]
     Mesh(#[from] MeshError),
-    /// No two cameras see the same ground.
+    /// No three cameras show the same ground.
     #[error(
-        "no two cameras see the same ground, so there is nothing to measure; use a model of overlapping pictures"
+        "no three cameras show the same ground, so there is nothing to measure; use a model of pictures that overlap"
     )]
     NothingSeen,
     /// The map has too many pixels.

@@ -62,6 +62,28 @@ pub(super) struct Covered {
     pub(super) range_m: [f64; 2],
 }
 
+impl Covered {
+    /// Of a map; `None` if no pixel has a height.
+    pub(super) fn of(lattice: &Lattice, heights: &mut Tiles<f32>) -> Result<Option<Self>, SurveyError> {
+        let mut covered = Self { pixels: 0, area_m2: 0.0, range_m: [f64::INFINITY, f64::NEG_INFINITY] };
+        for tile in 0..heights.len() {
+            let (window, values) = (heights.window(tile), heights.read(tile)?);
+            let [mut lowest_m, mut highest_m] = covered.range_m;
+            let mut pixels = 0;
+            for height in values.iter().filter(|height| !height.is_nan()) {
+                pixels += 1;
+                lowest_m = lowest_m.min(f64::from(*height));
+                highest_m = highest_m.max(f64::from(*height));
+            }
+            let middle =
+                DVec2::from([0, 1].map(|a| f64::from(window.at[a]) + 0.5 * f64::from(window.size[a])));
+            let area_m2 = covered.area_m2 + pixels as f64 * lattice.pixel_area_m2(middle)?;
+            covered = Self { pixels: covered.pixels + pixels, area_m2, range_m: [lowest_m, highest_m] };
+        }
+        Ok((covered.pixels > 0).then_some(covered))
+    }
+}
+
 impl Ground {
     /// Of a mesh in `frame`, and cameras in the world.
     pub(super) fn of(
@@ -131,32 +153,22 @@ fn median(mut values: Vec<f64>) -> Option<f64> {
 }
 
 /// Finds the ellipsoidal height at the centre of every pixel, metres; NaN where there is no surface that enough cameras
-/// see. `on_tile` gets the number of tiles that are done, and of all.
+/// see. Returns whether there is any. `on_tile` gets the number of tiles that are done, and of all.
 pub(super) fn find_heights(
     surface: &Surface,
     witnesses: &Witnesses,
     lattice: &Lattice,
     heights: &mut Tiles<f32>,
     mut on_tile: impl FnMut(usize, usize),
-) -> Result<Covered, SurveyError> {
-    let mut covered = Covered { pixels: 0, area_m2: 0.0, range_m: [f64::INFINITY, f64::NEG_INFINITY] };
+) -> Result<bool, SurveyError> {
+    let mut has_any = false;
     for tile in 0..heights.len() {
-        let window = heights.window(tile);
-        let values = of_tile(surface, witnesses, lattice, window)?;
-        let [mut lowest_m, mut highest_m] = covered.range_m;
-        let mut pixels = 0;
-        for height in values.iter().filter(|height| !height.is_nan()) {
-            pixels += 1;
-            lowest_m = lowest_m.min(f64::from(*height));
-            highest_m = highest_m.max(f64::from(*height));
-        }
-        let middle = DVec2::from([0, 1].map(|a| f64::from(window.at[a]) + 0.5 * f64::from(window.size[a])));
-        let area_m2 = covered.area_m2 + pixels as f64 * lattice.pixel_area_m2(middle)?;
-        covered = Covered { pixels: covered.pixels + pixels, area_m2, range_m: [lowest_m, highest_m] };
+        let values = of_tile(surface, witnesses, lattice, heights.window(tile))?;
+        has_any |= values.iter().any(|height| !height.is_nan());
         heights.write(tile, &values)?;
         on_tile(tile + 1, heights.len());
     }
-    Ok(covered)
+    Ok(has_any)
 }
 
 fn of_tile(

@@ -1,7 +1,7 @@
 //! How well the views agree: for each pixel of the map, how many views see its surface, and how far from it they do.
 //!
 //! Each view's depth is compared with the height that was found. A view whose depth is more than a few voxels away sees
-//! something else there, in front of the surface, and does not count.
+//! something else there: in front of the surface, which says nothing about it; or behind it, and then looks through it.
 //!
 //! What it knows nothing about: files; how heights were found.
 //!
@@ -30,11 +30,19 @@ const ALPHA_LEAST: f32 = 0.5;
 pub(super) struct Views {
     /// Number of views.
     pub(super) count: f32,
+    /// Number of views that look through the surface: they show another one behind it.
+    pub(super) through: f32,
     /// Sum of the squares of the differences between the heights that views show and the one that was found, m².
     squares_m2: f32,
 }
 
 impl Views {
+    /// Views with this spread, metres.
+    #[cfg(test)]
+    pub(super) fn of(count: f32, through: f32, spread_m: f32) -> Self {
+        Self { count, through, squares_m2: count * spread_m * spread_m }
+    }
+
     /// The root mean square of the differences, metres; `None` without a view.
     pub(super) fn spread_m(&self) -> Option<f32> {
         (self.count > 0.0).then(|| (self.squares_m2 / self.count).sqrt())
@@ -123,6 +131,8 @@ impl Picture<'_> {
         if (shown_m - depth_m).abs() * eye.distance(at) / depth_m <= self.same_m {
             views.count += 1.0;
             views.squares_m2 += (higher_m * higher_m) as f32;
+        } else if shown_m > depth_m {
+            views.through += 1.0;
         }
     }
 
@@ -164,5 +174,11 @@ mod tests {
         assert!(spread(0.5, 70.0).is_some_and(|m| (m - 0.1).abs() < 1e-3));
         assert!(spread(0.5, 69.9).is_some_and(|m| (m - 0.2).abs() < 1e-3));
         assert_eq!([spread(0.5, 69.0), spread(0.5, f32::NAN), spread(40.0, 70.0)], [None; 3]);
+        let through = |height: f32| {
+            let mut views = Views::default();
+            picture.add(&mut views, &Column { at: DVec2::new(0.5, 0.0), lift_m: 70.0 }, height);
+            views.through
+        };
+        assert_eq!([through(71.0), through(70.0), through(69.0)], [1.0, 0.0, 0.0]);
     }
 }
