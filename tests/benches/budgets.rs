@@ -10,7 +10,7 @@ use std::process::{Command, Stdio};
 
 use anyhow::{Context, Result, ensure};
 use clap::Parser;
-use cosurf_scene::{Dataset, LocalFrame, Picture, SparsePoint, Splats, colmap, ply};
+use cosurf_scene::{Camera, Dataset, LocalFrame, Picture, SparsePoint, Splats, camera_list, colmap, ply};
 use cosurf_tests::programs::program;
 use cosurf_tests::results::{Better, Column, Measurement, Tolerance};
 use cosurf_tests::usage::watch;
@@ -167,6 +167,9 @@ fn cases(arguments: &Arguments, folder: &Path) -> Result<Vec<Case>> {
         ..aggregator("mission, the largest of its processes", mission.map(String::from).to_vec())
     };
     let convert = ["convert".into(), text(&model), out.clone() + ".spz"];
+    let surveyed = with_cameras(data, &model, &folder.join("surveyed"))?;
+    let survey = ["survey".into(), text(&surveyed), "--out".into(), text(&folder.join("survey"))];
+    let survey = survey.into_iter().chain(["--origin".into(), "53.3,16.4,0".into()]).collect();
     Ok(vec![
         train("train, photographs of their full size", data, None),
         train("train, JPEGs of 20 megapixels", &jpegs, None),
@@ -178,6 +181,7 @@ fn cases(arguments: &Arguments, folder: &Path) -> Result<Vec<Case>> {
         view("render, 1.4 million splats", "render", "--cameras"),
         view("eval, 1.4 million splats", "eval", ""),
         aggregator("convert, 1.4 million splats", convert.to_vec()),
+        aggregator("survey, 1.4 million splats", survey),
         mission,
     ])
 }
@@ -229,4 +233,13 @@ fn large_model(data: &Path, path: &Path) -> Result<PathBuf> {
     }
     ply::write(path, &model, &LocalFrame::WORLD)?;
     Ok(path.to_owned())
+}
+
+/// A folder of a model in a file, with the cameras of a dataset.
+fn with_cameras(data: &Path, model: &Path, folder: &Path) -> Result<PathBuf> {
+    fs::create_dir_all(folder)?;
+    std::os::unix::fs::symlink(model, folder.join("model.ply"))?;
+    let cameras: Vec<Camera> = Dataset::open(data)?.views.iter().map(|view| view.camera).collect();
+    camera_list::write(&folder.join(camera_list::FILE), &cameras)?;
+    Ok(folder.to_owned())
 }
