@@ -7,7 +7,7 @@ use cosurf_contract::usage;
 use cosurf_engine::{DeviceChoice, Place, Rendering, ViewError, ViewMemory, Views};
 use cosurf_scene::{Camera, LocalFrame};
 
-/// Opens the model in the PLY file `model` to render it from `cameras`, which are in `frame`. With a limit, it is rendered
+/// Opens the model in the file `model` to render it from `cameras`, which are in `frame`. With a limit, it is rendered
 /// on the CPU, and the process stays within `memory_bytes`, of which it needs `beside_bytes` for other things than
 /// rendering. Fails if the file is no model, or a GPU is asked for together with a limit.
 pub fn open(

@@ -6,18 +6,18 @@ use std::collections::BinaryHeap;
 use std::path::Path;
 
 use cosurf_link::plain_importance;
-use cosurf_scene::{Camera, LocalFrame, SceneError, Splats, Watchers, ply};
+use cosurf_scene::{Camera, LocalFrame, SceneError, Splats, Watchers, model};
 use glam::DVec3;
 
 /// Number of splats of the file that are in memory at a time.
 const PART: usize = 4096;
 
-/// Reads a PLY into the frame of `cameras` and keeps the splats whose centres at least one of `cameras` sees, in the
+/// Reads a model into the frame of `cameras` and keeps the splats whose centres at least one of `cameras` sees, in the
 /// order of the file. If more than `splats_max` remain, keeps the most important ones, by opacity times area. The result
 /// has spherical harmonics up to `sh_degree`: higher degrees of the file are dropped, and degrees that the file lacks are
 /// zero. The memory does not grow with the file: it is read twice, first to choose splats and then to copy them.
 pub fn read_visible_splats(
-    model: &Path,
+    path: &Path,
     frame: &LocalFrame,
     cameras: &[Camera],
     splats_max: usize,
@@ -25,9 +25,9 @@ pub fn read_visible_splats(
 ) -> Result<Splats, SceneError> {
     let mut choice = Choice::new(splats_max);
     let mut watchers = Watchers::new(cameras);
-    ply::read_parts(model, frame, PART, |part| choice.look_at(part, &mut watchers))?;
+    model::read_parts(path, frame, PART, |part| choice.look_at(part, &mut watchers))?;
     let mut extract = Extract::of(choice, sh_degree);
-    ply::read_parts(model, frame, PART, |part| extract.take_from(part))?;
+    model::read_parts(path, frame, PART, |part| extract.take_from(part))?;
     Ok(extract.kept)
 }
 

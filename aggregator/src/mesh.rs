@@ -16,6 +16,7 @@
 mod budget;
 mod cases;
 mod clean;
+mod decimate;
 mod error;
 mod event;
 mod extract;
@@ -29,6 +30,7 @@ mod scout;
 mod tests;
 mod volume;
 
+pub use decimate::decimate;
 pub use error::MeshError;
 pub use event::{FuseEvent, Stage};
 pub use fuse::{FuseSettings, Fused, fuse};

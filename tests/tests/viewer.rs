@@ -103,7 +103,7 @@ fn psnr(picture: &Picture, rendering: &Rendering) -> f64 {
 fn quantised(splats: &Splats) -> Splats {
     let folder = tempfile::tempdir().unwrap();
     let path = folder.path().join("model.spz");
-    spz::write(&path, splats).unwrap();
+    spz::write(&path, splats, spz::Version::V3).unwrap();
     spz::read(&path).unwrap()
 }
 

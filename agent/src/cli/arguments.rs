@@ -7,7 +7,7 @@ use clap::Args;
 use cosurf_agent::viewing;
 use cosurf_engine::{DeviceChoice, Views};
 use cosurf_scene::bytes::parse_bytes;
-use cosurf_scene::{Camera, LocalFrame, ply};
+use cosurf_scene::{Camera, LocalFrame, model as model_file, ply};
 
 use super::host::cores;
 
@@ -68,8 +68,11 @@ impl ViewingArgs {
         threads: usize,
         beside_bytes: u64,
     ) -> Result<Views> {
-        let device = self.device.device;
-        viewing::open(ply::of_model(model)?, frame, cameras, device, threads, self.memory, beside_bytes)
+        let (device, model) = (self.device.device, ply::of_model(model)?);
+        if let Some(note) = model_file::unusable_note(&model) {
+            eprintln!("{note}");
+        }
+        viewing::open(model, frame, cameras, device, threads, self.memory, beside_bytes)
     }
 }
 

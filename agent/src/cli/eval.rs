@@ -13,7 +13,7 @@ use super::arguments::{Common, ViewingArgs};
 /// Score a model on the held-out views of a dataset: PSNR and SSIM as defined by 3DGS.
 #[derive(Args, Debug)]
 pub(super) struct EvalArgs {
-    /// The model: a PLY, or the folder of a training, a merge or a mission
+    /// The model: a PLY or SPZ file, or the folder of a training, a merge or a mission
     model: PathBuf,
     /// The dataset's folder
     data: PathBuf,

@@ -14,7 +14,7 @@ use super::arguments::{Common, ViewingArgs};
 /// metres along the optical axis, 0 where there is no surface).
 #[derive(Args, Debug)]
 pub(super) struct RenderArgs {
-    /// The model: a PLY, or the folder of a training, a merge or a mission
+    /// The model: a PLY or SPZ file, or the folder of a training, a merge or a mission
     model: PathBuf,
     /// The dataset with the cameras, or the folder of a model; needs no photographs
     #[arg(long, value_name = "DATA")]

@@ -15,7 +15,7 @@ use cosurf_engine::{
     Backend, DeviceChoice, DeviceLost, PruneScore, PruneSettings, Renderer, SurfaceSettings,
 };
 use cosurf_scene::bytes::{format_bytes, parse_bytes};
-use cosurf_scene::{FolderLock, Splats, check_space, files};
+use cosurf_scene::{FolderLock, Splats, check_space, files, model};
 use tracing::info_span;
 
 use super::arguments::{Common, DeviceArgs};
@@ -73,10 +73,10 @@ pub(super) struct TrainArgs {
     /// Learn an exposure for each picture, for cameras with automatic exposure
     #[arg(long)]
     exposure: bool,
-    /// Start from this earlier model of the ground in the pictures, instead of from the sparse cloud. The word `global`
-    /// stands for the global model that was received earlier and stored in the folder of --out. A training that resumes
-    /// does not start from it again
-    #[arg(long, value_name = "MODEL.ply")]
+    /// Start from this earlier model of the ground in the pictures, a PLY or SPZ file, instead of from the sparse cloud. The
+    /// word `global` stands for the global model that was received earlier and stored in the folder of --out. A training that
+    /// resumes does not start from it again
+    #[arg(long, value_name = "MODEL")]
     init: Option<PathBuf>,
     /// Start again even if DIR has a checkpoint
     #[arg(long)]
@@ -144,6 +144,9 @@ pub(super) fn train(
     progress: &mut Progress,
 ) -> Result<TrainReport> {
     checkpoint::remove_partial(out)?;
+    if let Some(note) = plan.init.as_deref().and_then(model::unusable_note) {
+        eprintln!("{note}");
+    }
     match train_on_any(plan, out, !fresh, progress) {
         Err(error) if error.is::<DamagedCheckpoint>() => {
             let kept = checkpoint::set_aside(out)?;

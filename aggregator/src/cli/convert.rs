@@ -1,28 +1,69 @@
 //! `convert`: writes a model in another file format.
 
+mod viewer_cameras;
+
+use std::f64::consts::FRAC_PI_2;
 use std::path::{Path, PathBuf};
 
 use anyhow::{Context, Result, bail, ensure};
-use clap::Args;
+use clap::{Args, ValueEnum};
 use cosurf_contract::counted;
 use cosurf_engine::budget::PROCESS_BYTES;
 use cosurf_scene::bytes::{format_bytes, parse_bytes};
-use cosurf_scene::{LocalFrame, Splats, ply, spz};
-use glam::DVec3;
+use cosurf_scene::{Camera, Dataset, LocalFrame, Splats, model, ply, spz, turn};
+use glam::{DQuat, DVec3};
 
-/// Convert a model between PLY and SPZ; the file extensions select the formats.
+/// Convert a model between PLY and SPZ; the extension of the file to write selects its format.
 ///
-/// SPZ is about ten times smaller because it quantises the splats; use it for viewers. The axes are converted as in
-/// other tools, so that viewers show both files alike.
+/// Reads the PLY of 3DGS, the compressed PLY of SuperSplat, and SPZ. SPZ is about ten times smaller than PLY because it
+/// quantises the splats; use it for viewers. The axes are converted as in other tools, so that viewers show both files
+/// alike.
 #[derive(Args)]
 pub(crate) struct ConvertArgs {
-    /// Model to read: .ply, or .spz of version 2 or 3
+    /// Model to read: .ply, compressed .ply, or .spz of version 1 to 4; or the folder of a training, a merge or a mission
     model: PathBuf,
     /// File to write: .ply or .spz
     out: PathBuf,
+    /// Version of the .spz to write: most viewers read 3, old ones only 2, and new tools 4, which is a little smaller
+    #[arg(long, value_name = "VERSION", default_value = "3", value_parser = parse_version)]
+    spz_version: spz::Version,
+    /// Turn the model: `y` so that a world with z up stands upright in viewers, which have y up; `z` turns such a file back
+    #[arg(long, value_name = "AXIS")]
+    up: Option<Up>,
+    /// Also write the model's cameras.json in the format of 3DGS, turned like the model, for viewers such as SuperSplat
+    #[arg(long, value_name = "FILE.json")]
+    viewer_cameras: Option<PathBuf>,
     /// Limit on resident memory, for example 300MiB [default: no limit]
     #[arg(long, value_name = "BYTES", value_parser = parse_bytes)]
     memory: Option<u64>,
+}
+
+#[derive(Clone, Copy, Debug, PartialEq, Eq, ValueEnum)]
+enum Up {
+    /// For viewers
+    Y,
+    /// Of the world
+    Z,
+}
+
+impl Up {
+    /// The rotation that gives a model this axis. Viewers take the PLY of 3DGS to have y down, and SPZ, whose y is that of
+    /// PLY with the other sign, to have y up.
+    fn rotation(self) -> DQuat {
+        match self {
+            Self::Y => DQuat::from_rotation_x(FRAC_PI_2),
+            Self::Z => DQuat::from_rotation_x(-FRAC_PI_2),
+        }
+    }
+}
+
+fn parse_version(text: &str) -> Result<spz::Version, String> {
+    match text {
+        "2" => Ok(spz::Version::V2),
+        "3" => Ok(spz::Version::V3),
+        "4" => Ok(spz::Version::V4),
+        _ => Err("versions 2, 3 and 4 are written".into()),
+    }
 }
 
 enum Format {
@@ -42,38 +83,53 @@ impl Format {
 }
 
 pub(crate) fn run(args: &ConvertArgs) -> Result<()> {
-    let (from, to) = (Format::of(&args.model)?, Format::of(&args.out)?);
+    let (path, to) = (ply::of_model(&args.model)?, Format::of(&args.out)?);
     if let Some(memory_bytes) = args.memory {
-        check_memory(&args.model, &from, memory_bytes)?;
+        check_memory(&path, memory_bytes)?;
     }
-    let origin = match from {
-        Format::Ply => ply::origin(&args.model)?,
-        Format::Spz => DVec3::ZERO,
-    };
-    let frame = LocalFrame::at(origin);
-    let splats: Splats = match from {
-        Format::Ply => ply::read(&args.model, &frame)?,
-        Format::Spz => spz::read(&args.model)?,
-    };
-    if matches!(to, Format::Spz) && origin != DVec3::ZERO {
+    let origin = model::origin(&path)?;
+    let cameras = args.viewer_cameras.as_ref().map(|_| cameras(&path, origin)).transpose()?;
+    if let Some(note) = model::unusable_note(&path) {
+        eprintln!("{note}");
+    }
+    let mut frame = LocalFrame::at(origin);
+    let mut splats = model::read(&path, &frame)?;
+    let rotation = args.up.map(Up::rotation);
+    if let Some(rotation) = rotation {
+        turn::turn(&mut splats, rotation);
+        frame = LocalFrame::WORLD; // the origin belongs to the axes of the world
+    }
+    if origin != DVec3::ZERO && (matches!(to, Format::Spz) || rotation.is_some()) {
         eprintln!(
-            "positions are relative to {} {} {}, which an SPZ cannot hold: keep it",
-            origin.x, origin.y, origin.z
+            "positions are relative to {} {} {} of the world, which {} cannot hold: keep it",
+            origin.x,
+            origin.y,
+            origin.z,
+            if rotation.is_some() { "a turned model" } else { "an SPZ" }
         );
     }
     match to {
         Format::Ply => ply::write(&args.out, &splats, &frame),
-        Format::Spz => spz::write(&args.out, &splats),
+        Format::Spz => spz::write(&args.out, &splats, args.spz_version),
     }
-    .with_context(|| format!("cannot write {}", counted(splats.len(), "splat")))
+    .with_context(|| format!("cannot write {}", counted(splats.len(), "splat")))?;
+    if let (Some(out), Some(cameras)) = (&args.viewer_cameras, cameras) {
+        viewer_cameras::write(out, &cameras, rotation.unwrap_or(DQuat::IDENTITY))?;
+    }
+    Ok(())
+}
+
+/// The cameras beside a model, relative to the model's origin.
+fn cameras(model: &Path, origin: DVec3) -> Result<Vec<Camera>> {
+    let beside = model.parent().unwrap_or(Path::new(""));
+    let cameras = Dataset::cameras(beside).context("the cameras are read from the folder of the model")?;
+    let frame = LocalFrame::at(origin);
+    Ok(cameras.iter().map(|camera| frame.local_camera(camera)).collect())
 }
 
 /// Fails if the splats, and those of an SPZ before compression, take more memory than allowed.
-fn check_memory(model: &Path, format: &Format, memory_bytes: u64) -> Result<()> {
-    let (splats, sh_degree) = match format {
-        Format::Ply => ply::size(model)?,
-        Format::Spz => spz::size(model)?,
-    };
+fn check_memory(model: &Path, memory_bytes: u64) -> Result<()> {
+    let (splats, sh_degree) = model::size(model)?;
     let per_splat = Splats::bytes_per_splat(sh_degree) + spz::body_bytes(sh_degree);
     let needed_bytes = PROCESS_BYTES + (splats * per_splat) as u64;
     ensure!(
@@ -85,4 +141,18 @@ fn check_memory(model: &Path, format: &Format, memory_bytes: u64) -> Result<()> 
         format_bytes(memory_bytes)
     );
     Ok(())
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn viewers_show_a_world_upright() {
+        // In a PLY of 3DGS, x is right, y down and z forward.
+        let rotation = Up::Y.rotation();
+        assert!((rotation * DVec3::Z - DVec3::NEG_Y).length() < 1e-12, "up is up");
+        assert!((rotation * DVec3::Y - DVec3::Z).length() < 1e-12, "north is forward");
+        assert!((rotation * Up::Z.rotation() * DVec3::ONE - DVec3::ONE).length() < 1e-12);
+    }
 }

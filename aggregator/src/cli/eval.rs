@@ -7,6 +7,7 @@ use std::thread::available_parallelism;
 use anyhow::Result;
 use clap::Args;
 use cosurf_aggregator::evaluate::{EvalOrder, evaluate_model, table};
+use cosurf_scene::{model, ply};
 
 /// Score a model on the held-out views of a dataset.
 ///
@@ -15,7 +16,7 @@ use cosurf_aggregator::evaluate::{EvalOrder, evaluate_model, table};
 /// the pixel's area.
 #[derive(Args)]
 pub(crate) struct EvalArgs {
-    /// The model: a PLY file, or the output folder of an agent or a mission
+    /// The model: a PLY or SPZ file, or the output folder of an agent or a mission
     model: PathBuf,
     /// The dataset's folder
     data: PathBuf,
@@ -37,8 +38,12 @@ pub(crate) struct EvalArgs {
 }
 
 pub(crate) fn run(args: EvalArgs) -> Result<()> {
+    let model = ply::of_model(&args.model)?;
+    if let Some(note) = model::unusable_note(&model) {
+        eprintln!("{note}");
+    }
     let report = evaluate_model(&EvalOrder {
-        model: args.model,
+        model,
         data: args.data,
         lpips: args.lpips,
         truth: args.truth,

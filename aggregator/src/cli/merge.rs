@@ -22,7 +22,7 @@ use cosurf_contract::counted;
 use cosurf_engine::DeviceChoice;
 use cosurf_link::Model;
 use cosurf_scene::bytes::parse_bytes;
-use cosurf_scene::{Camera, FolderLock, LocalFrame, SceneError, camera_list, ply};
+use cosurf_scene::{Camera, FolderLock, LocalFrame, SceneError, camera_list, model, ply};
 
 /// Options that control a merge, shared by the commands `merge` and `mission`.
 #[derive(Args)]
@@ -124,7 +124,7 @@ impl Locals for Folders<'_> {
 
     fn load(&self, index: usize) -> Result<Model, MergeError> {
         let folder = &self.folders[index];
-        let splats = ply::read(&ply::of_model(folder)?, &self.frame)?;
+        let splats = model::read(&ply::of_model(folder)?, &self.frame)?;
         let cameras = camera_list::read(&folder.join(camera_list::FILE))?;
         let cameras = cameras.iter().map(|camera| self.frame.local_camera(camera)).collect();
         Ok(Model { splats, cameras })
@@ -133,6 +133,11 @@ impl Locals for Folders<'_> {
 
 pub(crate) fn run(args: &MergeArgs) -> Result<()> {
     let _lock = FolderLock::take(&args.out, "cosurf-aggregator merge")?;
+    for folder in &args.models {
+        if let Some(note) = model::unusable_note(&ply::of_model(folder)?) {
+            eprintln!("{note}");
+        }
+    }
     let settings =
         MergeSettings { device: args.device, ..args.ways.settings(args.same_frame, args.memory, args.seed) };
     let threads = available_parallelism().map_or(1, usize::from);

@@ -9,10 +9,10 @@ use std::time::Instant;
 use anyhow::{Result, bail};
 use clap::Args;
 use cosurf_aggregator::Meter;
-use cosurf_aggregator::mesh::{FuseSettings, Fused, mesh_file};
+use cosurf_aggregator::mesh::{FuseSettings, Fused, decimate, mesh_file};
 use cosurf_contract::counted;
 use cosurf_scene::bytes::{format_bytes, parse_bytes};
-use cosurf_scene::{Dataset, LocalFrame, ply};
+use cosurf_scene::{Dataset, LocalFrame, model, ply};
 
 use super::arguments::parse_length;
 use super::host::display;
@@ -22,14 +22,17 @@ use super::host::display;
 /// Needs the cameras, but no photographs. The same model gives the same mesh with any number of threads.
 #[derive(Args)]
 pub(crate) struct MeshArgs {
-    /// The model: a PLY file of splats, or the output folder of an agent or a mission
+    /// The model: a PLY or SPZ file of splats, or the output folder of an agent or a mission
     model: PathBuf,
     /// Dataset whose cameras to render from, or the folder of a model [default: the model's folder]
     #[arg(long, value_name = "DATA")]
     cameras: Option<PathBuf>,
-    /// Mesh to write, .ply or .glb
+    /// Mesh to write: .ply, .glb, or .obj with the colours of the vertices
     #[arg(long, value_name = "FILE", default_value = "mesh.ply")]
     out: PathBuf,
+    /// Reduce the mesh to this many triangles, where it is flat and of one colour first [default: all]
+    #[arg(long, value_name = "N", value_parser = clap::value_parser!(u32).range(1..))]
+    triangles: Option<u32>,
     /// Edge length of a voxel, metres [default: median length that a pixel covers on the surface]
     #[arg(long, value_name = "M", value_parser = parse_length)]
     voxel: Option<f64>,
@@ -46,8 +49,8 @@ pub(crate) struct MeshArgs {
 }
 
 pub(crate) fn run(args: &MeshArgs) -> Result<()> {
-    if !matches!(args.out.extension().and_then(|e| e.to_str()), Some("ply" | "glb")) {
-        bail!("{}: name a file that ends in .ply or .glb", args.out.display());
+    if !matches!(args.out.extension().and_then(|e| e.to_str()), Some("ply" | "glb" | "obj")) {
+        bail!("{}: name a file that ends in .ply, .glb or .obj", args.out.display());
     }
     let beside = if args.model.is_dir() { Some(&*args.model) } else { args.model.parent() };
     let cameras = args.cameras.as_deref().or(beside).unwrap_or(Path::new(""));
@@ -55,6 +58,9 @@ pub(crate) fn run(args: &MeshArgs) -> Result<()> {
     let frame = LocalFrame::of(cameras.iter());
     cameras.iter_mut().for_each(|camera| *camera = frame.local_camera(camera));
     let model = ply::of_model(&args.model)?;
+    if let Some(note) = model::unusable_note(&model) {
+        eprintln!("{note}");
+    }
     let voxel_m = args.voxel.map(|voxel_m| voxel_m / frame.unit());
     let settings = FuseSettings { voxel_m, memory_bytes: args.memory };
     let threads = available_parallelism().map_or(1, usize::from);
@@ -65,7 +71,10 @@ pub(crate) fn run(args: &MeshArgs) -> Result<()> {
         ControlFlow::Continue(())
     })?;
     meter.finish();
-    let fused = fused.out_of_frame(&frame);
+    let mut fused = fused.out_of_frame(&frame);
+    if let Some(triangles) = args.triangles {
+        fused.mesh = decimate(fused.mesh, triangles as usize);
+    }
     fused.mesh.write(&args.out)?;
     print(args, &fused, begun.elapsed().as_secs_f64())
 }

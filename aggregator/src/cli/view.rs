@@ -10,6 +10,7 @@ use clap::Args;
 use cosurf_aggregator::station::{Token, serve_model};
 use cosurf_aggregator::viewer::{Room, Walkable};
 use cosurf_contract::counted;
+use cosurf_scene::{model, ply};
 
 /// Show a model in a browser: walk through it, measure, and read coordinates.
 ///
@@ -29,6 +30,9 @@ pub(crate) struct ViewArgs {
 
 pub(crate) fn run(args: &ViewArgs) -> Result<()> {
     let token = args.http_token_file.as_deref().map_or_else(Token::random, Token::read)?;
+    if let Some(note) = model::unusable_note(&ply::of_model(&args.model)?) {
+        eprintln!("{note}");
+    }
     let model = Walkable::read(&args.model, Room::UNLIMITED)?;
     let [splats, _] = model.shown();
     let (stop, stopped) = mpsc::channel();

@@ -5,7 +5,7 @@ use std::path::{Path, PathBuf};
 
 use cosurf_geo::{GeoError, Geodetic, Georeference};
 use cosurf_link::plain_importance;
-use cosurf_scene::{Camera, Dataset, LocalFrame, SceneError, Splats, evenly_spaced, ply, spz};
+use cosurf_scene::{Camera, Dataset, LocalFrame, SceneError, Splats, evenly_spaced, model, ply, spz};
 use glam::DMat3;
 use serde::Serialize;
 
@@ -119,7 +119,7 @@ pub struct Walkable {
 }
 
 impl Walkable {
-    /// Reads a model: a PLY or SPZ file, or the folder of a training, a merge, a service or a mission. Cameras and `geo.json`
+    /// Reads a model: a file of a known format, or the folder of a training, a merge, a service or a mission. Cameras and `geo.json`
     /// beside the model are used if they are there.
     pub fn read(model: &Path, room: Room) -> Result<Self, WalkableError> {
         let path = ply::of_model(model)?;
@@ -129,15 +129,7 @@ impl Walkable {
             false => Vec::new(),
         };
         let geo = Georeference::of_folder(beside)?.map(|georeference| georeference.origin);
-        let is_spz = path.extension().is_some_and(|extension| extension.eq_ignore_ascii_case("spz"));
-        let (splats, of_splats, frame) = match is_spz {
-            true => {
-                let splats = spz::read(&path)?;
-                let count = splats.len();
-                (splats, count, LocalFrame::WORLD)
-            }
-            false => read_ply(&path, &world_cameras, room)?,
-        };
+        let (splats, of_splats, frame) = read(&path, &world_cameras, room)?;
         if splats.is_empty() {
             return Err(WalkableError::Nothing { path });
         }
@@ -206,25 +198,21 @@ impl Walkable {
 }
 
 /// The splats of a file, or its most important ones if the memory is small; the number of all; and their frame.
-fn read_ply(
-    path: &Path,
-    cameras: &[Camera],
-    room: Room,
-) -> Result<(Splats, usize, LocalFrame), WalkableError> {
+fn read(path: &Path, cameras: &[Camera], room: Room) -> Result<(Splats, usize, LocalFrame), WalkableError> {
     let frame = match cameras {
-        [] => LocalFrame::at(ply::origin(path)?),
+        [] => LocalFrame::at(model::origin(path)?),
         cameras => LocalFrame::of(cameras.iter()),
     };
-    let (count, sh_degree) = ply::size(path)?;
+    let (count, sh_degree) = model::size(path)?;
     let most = room.splats_max(sh_degree);
     if count <= most {
-        return Ok((ply::read(path, &frame)?, count, frame));
+        return Ok((model::read(path, &frame)?, count, frame));
     }
     let mut importances = Vec::with_capacity(count);
-    ply::read_parts(path, &frame, READ_AT_ONCE, |part| importances.extend(plain_importance(part)))?;
+    model::read_parts(path, &frame, READ_AT_ONCE, |part| importances.extend(plain_importance(part)))?;
     let least = least_of(importances, most);
     let mut kept = Splats::with_capacity(most, sh_degree);
-    ply::read_parts(path, &frame, READ_AT_ONCE, |part| keep(part, least, most, &mut kept))?;
+    model::read_parts(path, &frame, READ_AT_ONCE, |part| keep(part, least, most, &mut kept))?;
     Ok((kept, count, frame))
 }
 

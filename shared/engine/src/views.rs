@@ -8,7 +8,7 @@
 
 use std::path::PathBuf;
 
-use cosurf_scene::{Camera, LocalFrame, SceneError, Splats, ply};
+use cosurf_scene::{Camera, LocalFrame, SceneError, Splats, model};
 
 use crate::backend::Rendering;
 use crate::budget::Viewing;
@@ -124,10 +124,10 @@ pub enum ViewError {
 }
 
 impl Views {
-    /// The model in the PLY file `path`, moved into `frame`. Reads only the header. The processor uses `threads` threads, at
+    /// The model in the file `path`, moved into `frame`. Reads only the header. The processor uses `threads` threads, at
     /// least 1.
     pub fn open(path: PathBuf, frame: &LocalFrame, place: Place, threads: usize) -> Result<Self, SceneError> {
-        let (splats, sh_degree) = ply::size(&path)?;
+        let (splats, sh_degree) = model::size(&path)?;
         Ok(Self {
             path,
             frame: *frame,
@@ -199,7 +199,7 @@ impl Views {
     fn load(&mut self, camera: &Camera) -> Result<Loaded, ViewError> {
         let memory = match self.place {
             Place::On(device) => {
-                let splats = ply::read(&self.path, &self.frame)?;
+                let splats = model::read(&self.path, &self.frame)?;
                 let renderer = Renderer::on(device, self.threads, &splats)?;
                 return Ok(Loaded { renderer, room: Room::All });
             }
@@ -210,7 +210,7 @@ impl Views {
         let cameras: Vec<Camera> = [*camera].into_iter().chain(next.iter().copied()).collect();
         let limit = self.limit(memory, &cameras);
         if !self.is_too_large && limit.allows(self.splats, limit.viewing.usual_pairs()) {
-            let renderer = Renderer::new(&ply::read(&self.path, &self.frame)?, self.threads);
+            let renderer = Renderer::new(&model::read(&self.path, &self.frame)?, self.threads);
             let (size_px, pairs) = (limit.viewing.size_px, limit.pairs_max(self.splats));
             return Ok(Loaded { renderer, room: Room::Limited { size_px, pairs } });
         }
@@ -222,7 +222,7 @@ impl Views {
             }
         }
         let mut batch = Batch::new(cameras, limit);
-        ply::read_parts(&self.path, &self.frame, READ_AT_ONCE, |part| batch.add(part, self.threads))?;
+        model::read_parts(&self.path, &self.frame, READ_AT_ONCE, |part| batch.add(part, self.threads))?;
         let (cameras, renderer) = batch.end(self.threads)?;
         Ok(Loaded { renderer, room: Room::Cameras(cameras) })
     }
@@ -230,7 +230,7 @@ impl Views {
     /// For that one of these cameras which needs most: the number of its splats, and the bytes of the process.
     fn most_needed(&self, cameras: &[Camera], limit: Limit) -> Result<(usize, u64), SceneError> {
         let mut counts = vec![(0, 0); cameras.len()];
-        ply::read_parts(&self.path, &self.frame, READ_AT_ONCE, |part| {
+        model::read_parts(&self.path, &self.frame, READ_AT_ONCE, |part| {
             let mut renderer = Renderer::new(part, self.threads);
             for (camera, (splats, pairs)) in cameras.iter().zip(&mut counts) {
                 let seen = renderer.seen(camera);

@@ -30,7 +30,9 @@ mod local_frame;
 mod lock;
 pub mod mesh;
 pub mod metrics;
+pub mod model;
 pub mod outline;
+mod parts;
 pub mod picture;
 pub mod ply;
 pub mod raycast;
@@ -39,6 +41,7 @@ mod space;
 pub mod splats;
 pub mod spz;
 mod transforms;
+pub mod turn;
 
 pub use base::Base;
 pub use cache::PictureCache;

@@ -4,6 +4,7 @@
 
 mod data;
 mod glb;
+mod obj;
 mod ply;
 #[cfg(test)]
 mod tests;
@@ -25,12 +26,20 @@ impl Mesh {
     }
 
     /// Writes the mesh, atomically, in the format of the path's extension: `.ply` (binary
-    /// little-endian) or `.glb` (glTF 2.0, see [`Mesh::write_glb`]). Errors: any other extension.
+    /// little-endian), `.glb` (glTF 2.0, see [`Mesh::write_glb`]) or `.obj` (in world coordinates). Errors: any other
+    /// extension.
     pub fn write(&self, path: &Path) -> Result<(), SceneError> {
         match path.extension().and_then(|extension| extension.to_str()) {
             Some("ply") => self.write_ply(path),
             Some("glb") => self.write_glb(path, &serde_json::Map::new()),
-            _ => Err(SceneError::malformed(path, "meshes are written as .ply or .glb; choose one of these")),
+            Some("obj") => {
+                self.assert_whole();
+                obj::write(path, self)
+            }
+            _ => Err(SceneError::malformed(
+                path,
+                "meshes are written as .ply, .glb or .obj; choose one of these",
+            )),
         }
     }
 

@@ -22,6 +22,7 @@
 //! # Ok::<(), Box<dyn std::error::Error>>(())
 //! ```
 
+pub(crate) mod compressed;
 mod header;
 mod points;
 mod rows;
@@ -32,6 +33,7 @@ use std::io::{self, Write};
 use std::path::{Path, PathBuf};
 
 use crate::error::Refusal;
+use crate::parts::{Parts, Record};
 use crate::splats::sh_coefficients;
 use crate::{LocalFrame, SceneError, Splats, atomic};
 use glam::DVec3;
@@ -167,6 +169,18 @@ pub fn read_parts(
     })
 }
 
+/// Reads splats into `parts`, which leaves out those that cannot be rendered. Other errors are those of [`read`].
+pub(crate) fn read_into(path: &Path, parts: &mut Parts) -> Result<(), SceneError> {
+    read_vertices(path, |element, rows| {
+        let columns = Columns::find(element)?;
+        parts.begin(columns.sh_degree, element.count as usize, rows.origin());
+        while let Some(row) = rows.next()? {
+            parts.add(&columns.record(row));
+        }
+        Ok(())
+    })
+}
+
 /// Number of splats of a file and the degree of their spherical harmonics, from its header. Errors are those of [`read`],
 /// except for values that cannot be rendered.
 pub fn size(path: &Path) -> Result<(usize, u32), SceneError> {
@@ -186,9 +200,6 @@ pub fn of_model(path: &Path) -> Result<PathBuf, SceneError> {
     let reason = "has neither model.ply nor global.ply: name the model's PLY file";
     inside.ok_or_else(|| SceneError::malformed(path, reason))
 }
-
-/// Largest number of values of a splat's spherical harmonics.
-const SH_MAX: usize = 48;
 
 /// For each number of a splat, the index of its column in a row of the file.
 struct Columns {
@@ -228,6 +239,20 @@ impl Columns {
         })
     }
 
+    /// The splat of a row.
+    fn record(&self, row: &[f64]) -> Record {
+        let read = |column: &usize| row[*column] as f32;
+        let mut record = Record {
+            mean: self.mean.each_ref().map(read),
+            quat: self.quat.each_ref().map(read),
+            log_scale: self.log_scale.each_ref().map(read),
+            opacity_logit: read(&self.opacity),
+            ..Record::ZERO
+        };
+        record.sh.iter_mut().zip(&self.sh).for_each(|(value, column)| *value = read(column));
+        record
+    }
+
     /// Appends the splat of a row. `before` is the number of splats that were read before those in `splats`.
     fn read(
         &self,
@@ -236,14 +261,7 @@ impl Columns {
         splats: &mut Splats,
         before: usize,
     ) -> Result<(), Refusal> {
-        let read = |column: &usize| row[*column] as f32;
-        let mut sh = [0.0; SH_MAX];
-        let sh = &mut sh[..self.sh.len()];
-        sh.iter_mut().zip(&self.sh).for_each(|(value, column)| *value = read(column));
-        let mean = self.mean.each_ref().map(read);
-        let quat = self.quat.each_ref().map(read);
-        let log_scale = self.log_scale.each_ref().map(read);
-        splats.push(mean, quat, log_scale, read(&self.opacity), sh);
+        self.record(row).push_to(splats);
         check_last(element, self, row, splats, before)
     }
 }

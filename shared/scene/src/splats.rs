@@ -110,6 +110,16 @@ impl Splats {
         self.sh.clear();
     }
 
+    /// Removes the last splat. Panics if there is none.
+    pub(crate) fn pop(&mut self) {
+        let left = self.len() - 1;
+        self.means.truncate(left);
+        self.quats.truncate(left);
+        self.log_scales.truncate(left);
+        self.opacity_logits.truncate(left);
+        self.sh.truncate(left * self.sh_stride());
+    }
+
     /// Appends splat `i` of `from`. Panics if the SH degrees differ.
     pub fn push_from(&mut self, from: &Self, i: usize) {
         let (mean, quat, log_scale) = (from.means[i], from.quats[i], from.log_scales[i]);

@@ -45,6 +45,22 @@ fn meshes_and_clouds_survive_the_round_trip() {
     }
 }
 
+/// By the specification of Wavefront, vertices are counted from 1, and a face names vertex and normal.
+#[test]
+fn an_obj_is_text_with_positions_colours_normals_and_faces() {
+    let lines = |mesh: &Mesh| {
+        String::from_utf8(written(mesh, "a.obj")).unwrap().lines().map(str::to_owned).collect::<Vec<_>>()
+    };
+    let found = lines(&corner());
+    assert_eq!(found[2], "v 2 0 0 0.1176 0.1569 0.1961");
+    assert_eq!((&*found[5], &*found[9]), ("vn 0.0000 0.0000 -1.0000", "f 1//1 3//3 2//2"));
+    assert_eq!(found.len(), 1 + 4 + 4 + 3);
+    let origin = DVec3::new(500_000.0, 5_200_000.0, 0.0);
+    let far = Mesh { origin, normals: Vec::new(), rgb: Vec::new(), ..corner() };
+    let found = lines(&far);
+    assert_eq!((&*found[2], &*found[5]), ("v 500002.0000 5200000.0000 0.0000", "f 1 3 2"));
+}
+
 /// Coordinates of UTM keep their millimetres in a PLY, and the node of a GLB holds them in double precision.
 #[test]
 fn meshes_far_from_the_origin_keep_their_millimetres() {

@@ -2,8 +2,14 @@
 //! or forged files.
 #![allow(clippy::unwrap_used)]
 
+use std::fs;
 use std::io::Write as _;
 
+use flate2::Compression;
+use flate2::read::GzDecoder;
+use flate2::write::GzEncoder;
+
+use super::steps::COLOR_SCALE;
 use super::*;
 
 fn gzip(bytes: &[u8]) -> Vec<u8> {
@@ -12,17 +18,24 @@ fn gzip(bytes: &[u8]) -> Vec<u8> {
     gzip.finish().unwrap()
 }
 
-fn read_bytes(bytes: &[u8]) -> Result<Splats, Refusal> {
-    read_stream(bytes, bytes.len() as u64)
+/// The splats of a file, or the reason of the error.
+fn read_bytes(bytes: &[u8]) -> Result<Splats, String> {
+    let folder = tempfile::tempdir().unwrap();
+    let path = folder.path().join("a.spz");
+    fs::write(&path, bytes).unwrap();
+    read(&path).map_err(|error| error.to_string())
 }
 
 /// One splat of degree 1 at (1, -2, 3) in SPZ's axes.
 fn by_hand(version: u8, quat: &[u8]) -> Vec<u8> {
+    by_hand_at(version, &[0x00, 0x10, 0x00, 0x00, 0xe0, 0xff, 0x00, 0x30, 0x00], quat)
+}
+
+fn by_hand_at(version: u8, position: &[u8], quat: &[u8]) -> Vec<u8> {
     let header = [b'N', b'G', b'S', b'P', version, 0, 0, 0, 1, 0, 0, 0, 1, 12, 0, 0];
-    let position = [0x00, 0x10, 0x00, 0x00, 0xe0, 0xff, 0x00, 0x30, 0x00];
     let (opacity, color, scale) = ([204], [128, 255, 0], [160, 0, 255]);
     let sh = [128, 144, 112, 192, 64, 128, 136, 120, 0];
-    gzip(&[&header[..], &position, &opacity, &color, &scale, quat, &sh].concat())
+    gzip(&[&header[..], position, &opacity, &color, &scale, quat, &sh].concat())
 }
 
 #[test]
@@ -45,6 +58,11 @@ fn files_by_hand_are_read_as_the_format_says() {
     let old = read_bytes(&by_hand(2, &[255, 128, 0])).unwrap();
     let [w, x, y, z] = old.quats[0];
     assert!(x == 1.0 && (y + 0.5 / 127.5).abs() < 1e-6 && z == 1.0 && w == 0.0, "{:?}", old.quats);
+    // Version 1 has 16-bit floats: 1, -2 and 3.
+    let oldest = read_bytes(&by_hand_at(1, &[0, 0x3c, 0, 0xc0, 0, 0x42], &[255, 128, 0])).unwrap();
+    assert_eq!((&oldest.means, &oldest.quats), (&vec![[1.0, 2.0, -3.0]], &old.quats));
+    let infinite = read_bytes(&by_hand_at(1, &[0, 0x7c, 0, 0xc0, 0, 0x42], &[255, 128, 0])).unwrap();
+    assert!(infinite.is_empty());
 }
 
 fn splats(sh_degree: u32) -> Splats {
@@ -66,9 +84,11 @@ fn splats(sh_degree: u32) -> Splats {
 fn round_trips_are_exact_to_the_formats_rounding() {
     let folder = tempfile::tempdir().unwrap();
     let path = folder.path().join("a.spz");
-    for sh_degree in 0..=3 {
+    let versions = [Version::V2, Version::V3, Version::V4];
+    for (sh_degree, version) in (0..=3).flat_map(|degree| versions.map(|version| (degree, version))) {
         let sent = splats(sh_degree);
-        write(&path, &sent).unwrap();
+        write(&path, &sent, version).unwrap();
+        assert_eq!(size(&path).unwrap(), (50, sh_degree));
         let found = read(&path).unwrap();
         assert_eq!((found.len(), found.sh_degree, found.find_bad_value()), (50, sh_degree, None));
         for i in 0..50 {
@@ -79,7 +99,8 @@ fn round_trips_are_exact_to_the_formats_rounding() {
             assert!(near(&found.sh_of(i)[3..], &sent.sh_of(i)[3..], 9.0 / 128.0));
             let length = sent.quats[i].iter().map(|v| v * v).sum::<f32>().sqrt();
             let cosine: f32 = found.quats[i].iter().zip(&sent.quats[i]).map(|(a, b)| a * b / length).sum();
-            assert!(cosine.abs() > 1.0 - 2e-6, "{cosine}");
+            let most = if version == Version::V2 { 5e-3 } else { 2e-6 };
+            assert!(cosine.abs() > 1.0 - most, "{version:?}: {cosine}");
         }
     }
 }
@@ -90,29 +111,73 @@ fn far_coordinates_get_fewer_bits_and_farther_ones_are_refused() {
     let path = folder.path().join("a.spz");
     let mut far = splats(0);
     far.means[3] = [1e6, -1e6, 0.0];
-    write(&path, &far).unwrap();
+    write(&path, &far, Version::V3).unwrap();
     assert!((read(&path).unwrap().means[3][0] - 1e6).abs() < 0.5);
     far.means[3][0] = 1e7;
-    assert!(write(&path, &far).unwrap_err().to_string().contains("PLY"));
+    assert!(write(&path, &far, Version::V4).unwrap_err().to_string().contains("PLY"));
+}
+
+/// The bytes of a file in a version.
+fn file(version: Version) -> Vec<u8> {
+    let folder = tempfile::tempdir().unwrap();
+    let path = folder.path().join("a.spz");
+    write(&path, &splats(1), version).unwrap();
+    fs::read(&path).unwrap()
+}
+
+#[test]
+fn harmonics_above_degree_3_are_left_out() {
+    let mut bytes = Vec::new();
+    GzDecoder::new(&by_hand(3, &[0; 4])[..]).read_to_end(&mut bytes).unwrap();
+    bytes[12] = 4;
+    bytes.truncate(bytes.len() - 9);
+    bytes.extend([144; 72]);
+    let splats = read_bytes(&gzip(&bytes)).unwrap();
+    assert_eq!((splats.sh_degree, splats.sh.len()), (3, 48));
+    assert!(splats.sh[3..].iter().all(|v| v.abs() == 0.125));
 }
 
 #[test]
 fn files_that_are_not_spz_are_refused_with_a_reason() {
-    let sane = [&header(&splats(0), 12)[..], &body(&splats(0), 12)].concat();
+    let mut sane = Vec::new();
+    GzDecoder::new(&file(Version::V3)[..]).read_to_end(&mut sane).unwrap();
     let spoilt = |change: &dyn Fn(&mut Vec<u8>)| {
         let mut bytes = sane.clone();
         change(&mut bytes);
-        match read_bytes(&gzip(&bytes)).unwrap_err() {
-            Refusal::Content(reason) => reason,
-            Refusal::Io(cause) => cause.to_string(),
-        }
+        read_bytes(&gzip(&bytes)).unwrap_err()
     };
     assert!(read_bytes(&gzip(&sane)).is_ok());
     assert!(spoilt(&|bytes| bytes[0] = 0).contains("NGSP"));
     assert!(spoilt(&|bytes| bytes[4] = 9).contains("version 9"));
-    assert!(spoilt(&|bytes| bytes[12] = 4).contains("degree 3"));
+    assert!(spoilt(&|bytes| bytes[4] = 4).contains("compression"));
+    assert!(spoilt(&|bytes| bytes[12] = 5).contains("degree 4"));
     assert!(spoilt(&|bytes| bytes[11] = 0x7f).contains("forged"));
     assert!(spoilt(&|bytes| bytes.truncate(100)).contains("cut short"));
-    assert!(matches!(read_bytes(&sane), Err(Refusal::Content(reason)) if reason.contains("version 4")));
-    assert!(matches!(read_bytes(b"ply\n"), Err(Refusal::Content(reason)) if reason.contains("gzip")));
+    assert!(read_bytes(&sane).unwrap_err().contains("compression"));
+    assert!(read_bytes(b"ply\n").unwrap_err().contains("too early"));
+    assert!(read_bytes(&gzip(b"ply\n")).unwrap_err().contains("gzip"));
+}
+
+#[test]
+fn files_of_version_4_are_refused_if_their_table_lies() {
+    let sane = file(Version::V4);
+    assert_eq!((&sane[..5], sane[15], sane[16]), (&b"NGSP\x04"[..], 6, 32));
+    let spoilt = |change: &dyn Fn(&mut Vec<u8>)| {
+        let mut bytes = sane.clone();
+        change(&mut bytes);
+        let reason = read_bytes(&bytes).unwrap_err();
+        assert_eq!(reason.lines().count(), 1, "{reason}");
+        reason
+    };
+    assert!(spoilt(&|bytes| bytes[11] = 0x7f).contains("forged"));
+    assert!(spoilt(&|bytes| bytes[15] = 5).contains("streams"));
+    assert!(spoilt(&|bytes| bytes[17] = 0x7f).contains("cut short"));
+    assert!(
+        spoilt(&|bytes| bytes[32] += 1).contains("damaged"),
+        "the first stream gets a byte of the second"
+    );
+    assert!(spoilt(&|bytes| bytes[40] += 1).contains("wrong sizes"));
+    assert!(spoilt(&|bytes| bytes.truncate(bytes.len() - 1)).contains("wrong sizes"));
+    let first = 32 + 6 * 16;
+    assert!(spoilt(&|bytes| bytes[first] = 0).contains("damaged"), "no zstd");
 }
