@@ -65,5 +65,5 @@ pub use report::{
     AgentEvent, Changes, ChosenBy, ComparedWith, IngestReport, IngestStage, ReadyReport, TrainReport,
 };
 pub use share::{NotAShare, Share};
-pub use status::{AgentPhase, AgentStatus};
+pub use status::{AgentPhase, AgentStatus, BadStatus};
 pub use words::{Escaped, counted};

@@ -7,6 +7,26 @@ use crate::report::{AgentEvent, ChosenBy};
 /// Limit on the characters of a problem in a status, so that a status stays small.
 const PROBLEM_CHARS_MAX: usize = 200;
 
+/// Limit on the bytes of a status: several times what an agent sends.
+const STATUS_BYTES_MAX: usize = 4096;
+/// Limit on the characters of a version in a status.
+const VERSION_CHARS_MAX: usize = 40;
+
+/// Why bytes are no status.
+#[derive(Debug, thiserror::Error)]
+#[non_exhaustive]
+pub enum BadStatus {
+    /// There are too many bytes.
+    #[error("a status of {0} bytes, but at most {STATUS_BYTES_MAX} are read")]
+    TooLong(usize),
+    /// It is not the JSON of a status.
+    #[error("not a status: {0}")]
+    Malformed(#[from] serde_json::Error),
+    /// A figure or a text is out of its range.
+    #[error("a status whose {0} is out of range")]
+    OutOfRange(&'static str),
+}
+
 /// How far an agent is. Anybody who may write to the agent's topics may have written it.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 pub struct AgentStatus {
@@ -74,6 +94,26 @@ impl AgentStatus {
             time_s: 0,
             problem: None,
             version: version.to_owned(),
+        }
+    }
+
+    /// Reads a status that anybody may have sent.
+    pub fn parse(payload: &[u8]) -> Result<Self, BadStatus> {
+        if payload.len() > STATUS_BYTES_MAX {
+            return Err(BadStatus::TooLong(payload.len()));
+        }
+        let status: Self = serde_json::from_slice(payload)?;
+        let is_usual = |value: Option<f32>, least: f32| value.is_none_or(|v| v.is_finite() && v >= least);
+        let is_short = |text: &str, most: usize| text.chars().count() <= most;
+        let checks = [
+            ("psnr", is_usual(status.psnr, f32::MIN)),
+            ("seconds_left", is_usual(status.seconds_left, 0.0)),
+            ("problem", status.problem.as_deref().is_none_or(|text| is_short(text, PROBLEM_CHARS_MAX))),
+            ("version", is_short(&status.version, VERSION_CHARS_MAX)),
+        ];
+        match checks.into_iter().find(|(_, is_good)| !is_good) {
+            Some((what, _)) => Err(BadStatus::OutOfRange(what)),
+            None => Ok(status),
         }
     }
 
@@ -147,9 +187,28 @@ mod tests {
         let text = serde_json::to_string(&status).unwrap();
         assert!(text.len() < 1200, "{} bytes", text.len());
         assert_eq!(serde_json::from_str::<AgentStatus>(&text).unwrap(), status);
+        assert_eq!(AgentStatus::parse(text.as_bytes()).unwrap(), status);
         assert!(status.follow(&AgentEvent::Publishing { bytes_sent: 5, bytes_total: 9 }));
         assert_eq!((status.problem.clone(), status.bytes_total), (None, 9), "it has got over the problem");
         assert!(status.follow(&AgentEvent::Acknowledged { bytes_sent: 11 }));
         assert_eq!((status.phase, status.bytes_sent), (AgentPhase::Waiting, 11));
+    }
+
+    #[test]
+    fn a_status_out_of_range_is_refused() {
+        let good = serde_json::to_value(AgentStatus::new(300, "0.1.0")).unwrap();
+        let with = |name: &str, value: serde_json::Value| {
+            let mut changed = good.clone();
+            changed[name] = value;
+            AgentStatus::parse(changed.to_string().as_bytes())
+        };
+        assert!(with("psnr", serde_json::json!(30.5)).is_ok());
+        assert!(with("psnr", serde_json::json!(1e300)).is_err(), "it is infinite as a 32-bit number");
+        assert!(with("seconds_left", serde_json::json!(-1.0)).is_err());
+        assert!(matches!(with("problem", "x".repeat(201).into()), Err(BadStatus::OutOfRange("problem"))));
+        assert!(with("version", "x".repeat(41).into()).is_err());
+        assert!(with("step", serde_json::json!(-1)).is_err());
+        assert!(matches!(with("problem", "x".repeat(5000).into()), Err(BadStatus::TooLong(_))));
+        assert!(AgentStatus::parse(b"\xff\x00").is_err());
     }
 }

@@ -39,42 +39,86 @@ pub use config::MqttConfig;
 pub use settings::Login;
 pub use tls::{Tls, TlsError, TlsFiles};
 
+use std::fmt;
 use std::time::Duration;
+
+use cosurf_wire::{DeviceId, Topic};
 
 use crate::transport::{Outgoing, PublishError, Transport, TransportEvent, counts_retained};
 use client::Client;
 use shared::ClientEvent;
 
+/// A status of a device as it arrived.
+#[derive(Clone, Debug, PartialEq, Eq)]
+pub struct HeardStatus {
+    /// The device under whose topic it arrived.
+    pub device: DeviceId,
+    /// Its bytes. Anybody who may write to the topic may have sent them.
+    pub payload: Vec<u8>,
+    /// True if the broker had kept it from earlier.
+    pub is_kept: bool,
+}
+
 /// A participant's connection to an MQTT broker. Dropping it first sends the queued messages, for at most 2 seconds, and
 /// then breaks the connection. The broker then publishes the last will, which announces the end of the session.
-#[derive(Debug)]
-pub struct MqttTransport(Client);
+pub struct MqttTransport {
+    client: Client,
+    /// What gets the statuses of devices. They are no part of the protocol.
+    on_status: Option<Box<dyn Fn(HeardStatus) + Send>>,
+}
 
 impl MqttTransport {
     /// Starts connecting. [`Transport::poll`] reports success and failure as events.
     pub fn start(config: MqttConfig) -> Self {
-        Self(Client::start(config.into_client()))
+        Self { client: Client::start(config.into_client()), on_status: None }
+    }
+
+    /// The same, and `on_status` gets how far the devices of the site are. It is called by [`Transport::poll`]. A connection
+    /// of its own for statuses would not do: brokers that know clients by their names accept only one of each name.
+    pub fn start_hearing(config: MqttConfig, on_status: impl Fn(HeardStatus) + Send + 'static) -> Self {
+        Self { client: Client::start(config.into_hearing_client()), on_status: Some(Box::new(on_status)) }
     }
 
     /// Starts connecting as a device that only reports: it reads nothing but which flights are confirmed, so that the models
     /// for other devices do not use its line.
     pub fn start_reporting(config: MqttConfig) -> Self {
-        Self(Client::start(config.into_reporting_client()))
+        Self { client: Client::start(config.into_reporting_client()), on_status: None }
+    }
+
+    /// Hands a status on. Returns false if a message is none. After a restart without `on_status`, the broker may still send
+    /// statuses to the session that it has kept.
+    fn hear_status(&self, topic: &str, payload: &[u8], is_kept: bool) -> bool {
+        let Ok((_, Topic::Status { device })) = Topic::parse(topic) else { return false };
+        if let Some(on_status) = self.on_status.as_ref().filter(|_| !payload.is_empty()) {
+            on_status(HeardStatus { device, payload: payload.to_vec(), is_kept });
+        }
+        true
+    }
+}
+
+impl fmt::Debug for MqttTransport {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        f.debug_struct("MqttTransport").field("client", &self.client).finish_non_exhaustive()
     }
 }
 
 impl Transport for MqttTransport {
     fn publish(&mut self, message: &Outgoing) -> Result<(), PublishError> {
-        self.0.publish(&message.topic, &message.payload, message.retain)
+        self.client.publish(&message.topic, &message.payload, message.retain)
     }
 
     fn poll(&mut self, timeout: Duration) -> Option<TransportEvent> {
-        self.0.poll(timeout).and_then(|event| match event {
+        self.client.poll(timeout).and_then(|event| match event {
             ClientEvent::Connected => Some(TransportEvent::Connected),
             ClientEvent::Disconnected { attempt, reason } => {
                 Some(TransportEvent::Disconnected { attempt, reason })
             }
             ClientEvent::Denied { reason } => Some(TransportEvent::Denied { reason }),
+            ClientEvent::Message { topic, payload, retain, .. }
+                if self.hear_status(&topic, &payload, retain) =>
+            {
+                None
+            }
             ClientEvent::Message { topic, retain: true, .. } if !counts_retained(&topic) => None,
             ClientEvent::Message { topic, payload, .. } => Some(TransportEvent::Incoming { topic, payload }),
         })

@@ -235,6 +235,11 @@ impl Topic {
         ["+/state", "+/up/+/m", "+/up/+/c/+", "+/global/+"].map(|tail| filter(site, tail))
     }
 
+    /// The topic filter of the statuses of all devices of `site`.
+    pub fn status_filter(site: &SiteId) -> TopicString {
+        filter(site, "+/status")
+    }
+
     /// The topic filters that `device` subscribes to.
     pub fn device_filters(site: &SiteId, device: &DeviceId) -> [TopicString; 3] {
         let mut own = filter(site, device.as_str());

@@ -43,6 +43,13 @@ impl MqttConfig {
         self.subscribed_to(&topics, 0)
     }
 
+    /// The same for a participant that also reads how far devices are.
+    pub(super) fn into_hearing_client(self) -> ClientSettings {
+        let mut filters = self.identity.filters();
+        filters.push(Topic::status_filter(&self.identity.site));
+        self.subscribed_to(&filters, SESSION_EXPIRY_S)
+    }
+
     fn subscribed_to(self, filters: &[TopicString], session_expiry_s: u32) -> ClientSettings {
         let Self { broker, identity, will, tls, login } = self;
         let filters = filters.iter().map(|path| Filter {
