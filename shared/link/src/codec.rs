@@ -32,7 +32,7 @@ mod shapes;
 #[cfg(test)]
 mod tests;
 
-pub(crate) use decode::checked_part_to_model;
+pub(crate) use decode::{body_cameras, checked_part_to_model};
 pub use decode::{body_frame, body_to_model, check_body, part_to_model, scene_frame};
 pub use encode::{FirstLayer, model_to_body};
 pub use order::plain_importance;

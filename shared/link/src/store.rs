@@ -8,14 +8,16 @@ use std::fs;
 use std::io::{self, Read, Write};
 use std::path::{Path, PathBuf};
 
-use cosurf_scene::{SceneError, atomic, files};
+use cosurf_scene::{Camera, LocalFrame, SceneError, atomic, files};
 use cosurf_wire::{MAX_CONTROL_BYTES, Message, ModelHeader, ModelId};
 
 use crate::body::body_hash;
-use crate::codec::check_body;
+use crate::codec::{body_cameras, check_body};
 use crate::key::ModelKey;
 
 const EXTENSION: &str = "model";
+/// How much of a body is read for its cameras, bytes: head, table and cameras come first.
+const CAMERAS_BYTES_MAX: u64 = 2 << 20;
 const WRONG_HASH: &str = "its hash does not match";
 
 /// An invalid model file, or an I/O error.
@@ -88,6 +90,11 @@ impl ModelStore {
         Ok((store, headers))
     }
 
+    /// The same folder for a reader beside the program that has opened it. Nothing is read, deleted or set aside.
+    pub fn beside(folder: &Path) -> Self {
+        Self { folder: folder.to_owned() }
+    }
+
     /// Writes a model. The model survives a power cut once this function has returned.
     pub fn put(&self, header: &ModelHeader, body: &[u8]) -> Result<(), StoreError> {
         let key = ModelKey::from(header);
@@ -113,6 +120,21 @@ impl ModelStore {
         }
         check_body(&header, &body).map_err(|fault| malformed(&path, &fault.to_string()))?;
         Ok((header, body))
+    }
+
+    /// The header of a model, the frame of its splats, and its cameras, in the world. Reads only the beginning of the file;
+    /// splats and hash are not checked. An error if the model has more cameras than fit into 2 MiB.
+    pub fn cameras(&self, key: ModelKey) -> Result<(ModelHeader, LocalFrame, Vec<Camera>), StoreError> {
+        let path = self.path(key);
+        let (file, header) = open_file(&path)?;
+        let mut beginning = Vec::new();
+        let read = file.take(CAMERAS_BYTES_MAX).read_to_end(&mut beginning);
+        read.map_err(|cause| SceneError::io(&path, cause))?;
+        match body_cameras(&beginning, header.body_bytes) {
+            Ok(Some((frame, cameras))) => Ok((header, frame, cameras)),
+            Ok(None) => Err(malformed(&path, "its cameras take more than 2 MiB").into()),
+            Err(fault) => Err(malformed(&path, &fault.to_string()).into()),
+        }
     }
 
     /// The keys of all models, by the names of their files. Files with other names are left out.

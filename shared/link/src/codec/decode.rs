@@ -57,6 +57,23 @@ pub fn body_frame(body: &[u8]) -> Result<LocalFrame, BodyFault> {
     Ok(Unpacker::new(BodyPlan::of_whole(body)?, body).origin()?)
 }
 
+/// The frame of the splats of a body of `size` bytes, and its cameras, in the world. `beginning` is as much of the body as
+/// was read; `None` if that is too little. Checks nothing else of the body.
+pub(crate) fn body_cameras(
+    beginning: &[u8],
+    size: u64,
+) -> Result<Option<(LocalFrame, Vec<Camera>)>, BodyFault> {
+    let is_here = |range: Range<usize>| range.end <= beginning.len();
+    let Some(plan) = received_plan(beginning, size, is_here)? else { return Ok(None) };
+    let mut packs = plan.packs_of(PackKind::Origin).chain(plan.packs_of(PackKind::Cameras));
+    if !packs.all(|pack| is_here(pack.range)) {
+        return Ok(None);
+    }
+    let mut unpacker = Unpacker::new(plan, beginning);
+    let frame = unpacker.origin()?;
+    Ok(Some((frame, unpacker.cameras()?.iter().map(camera).collect())))
+}
+
 /// The frame in which the scene of a complete body is near the origin and of an ordinary size: that of its cameras, or, if
 /// it has none, that of its splats.
 pub fn scene_frame(body: &[u8]) -> Result<LocalFrame, BodyFault> {
