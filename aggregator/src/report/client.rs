@@ -138,8 +138,9 @@ fn accuracy(georeference: Option<&Georeference>) -> String {
     if gps.is_none() && control.is_empty() && check.is_empty() {
         return html + "<p>The place was given by hand; nothing was measured against it.</p>\n";
     }
+    html.push_str(&frame::scroll("Accuracy"));
     html.push_str(
-        "<div class=\"scroll\"><table class=\"plain\"><thead><tr><th>root mean square of residuals</th><th>number</th>\
+        "<table class=\"plain\"><thead><tr><th>root mean square of residuals</th><th>number</th>\
          <th>horizontal</th><th>vertical</th></tr></thead><tbody>\n",
     );
     if let Some(gps) = gps {

@@ -3,8 +3,8 @@
 use std::fmt::Write;
 
 use super::figures::MissionReport;
-use super::map;
 use super::svg::escape;
+use super::{frame, map};
 use crate::partition::Cell;
 use crate::service::FitRecord;
 
@@ -31,8 +31,9 @@ pub(super) fn section(report: &MissionReport, cells: &[Cell]) -> String {
 
 /// The table of the fits, with what its columns mean, as HTML.
 pub(super) fn table(fits: &[&FitRecord]) -> String {
-    let mut html = String::from(
-        "<div class=\"scroll\"><table class=\"plain\"><thead><tr><th>models</th><th>points</th><th>arrived, px</th>\
+    let mut html = frame::scroll("How the models fit each other");
+    html.push_str(
+        "<table class=\"plain\"><thead><tr><th>models</th><th>points</th><th>arrived, px</th>\
          <th>merged, px</th></tr></thead><tbody>\n",
     );
     for FitRecord { devices: [one, other], points, before_px, after_px } in fits {

@@ -33,6 +33,11 @@ pub(super) fn tiles<const N: usize>(figures: [(Option<String>, &str); N]) -> Str
     html + "</div>\n"
 }
 
+/// The beginning of a box for a table that may be wider than the page. The keyboard reaches it, so that it can be scrolled.
+pub(super) fn scroll(label: &str) -> String {
+    format!("<div class=\"scroll\" role=\"region\" tabindex=\"0\" aria-label=\"{label}\">")
+}
+
 /// A list of remarks; empty if there are none.
 pub(super) fn remarks(remarks: &[String]) -> String {
     if remarks.is_empty() {

@@ -70,7 +70,7 @@ fn header(html: &mut String, report: &MissionReport) {
 }
 
 fn agents(html: &mut String, report: &MissionReport) {
-    html.push_str("<h2>Agents</h2>\n<div class=\"scroll\"><table><thead><tr>");
+    let _ = write!(html, "<h2>Agents</h2>\n{}<table><thead><tr>", frame::scroll("Agents"));
     let lines = rows(report);
     let (headings, rows) = lines.split_first().expect("headings");
     for heading in headings {

@@ -103,8 +103,9 @@ pub(crate) fn site_page(report: &SiteReport, pictures: &[SitePicture], client: &
 
 /// The table of the models.
 fn models(html: &mut String, merging: &Merging) {
+    let _ = write!(html, "<h2>Models</h2>\n{}", frame::scroll("Models"));
     html.push_str(
-        "<h2>Models</h2>\n<div class=\"scroll\"><table class=\"plain\"><thead><tr><th></th><th>model</th>\
+        "<table class=\"plain\"><thead><tr><th>device</th><th>model</th>\
          <th>splats</th><th>seen better by others</th></tr></thead><tbody>\n",
     );
     for (input, local) in merging.locals() {
