@@ -12,7 +12,8 @@ use std::time::Instant;
 
 use anyhow::{Context, Result};
 use clap::{Args, Parser, Subcommand};
-use cosurf_aggregator::service::{Command, Host, serve};
+use cosurf_aggregator::service::{Command, Host, SideEvent, serve};
+use cosurf_aggregator::station::PAGE_BYTES;
 use cosurf_cli::{VERSION, shell};
 use cosurf_contract::{Escaped, LogFormat, log};
 use cosurf_link::SerialConfig;
@@ -159,13 +160,15 @@ fn run(args: &RunArgs) -> Result<()> {
     let mut config = args.config.read()?;
     config.open |= args.open;
     let (commands, receiver) = mpsc::channel();
+    let orders = commands.clone();
     ctrlc::set_handler(move || {
         let _ = commands.send(Command::Stop); // fails only if the service has already ended
     })
     .context("cannot install the Ctrl-C handler")?;
     let (begun, json) = (Instant::now(), args.json);
-    let site = args.http.serve(&config.out, true)?;
+    let site = args.http.serve(&config.out, Some(orders))?;
     let board = site.as_ref().map(|site| site.board.clone());
+    let heard = board.clone();
     let line =
         |port: &String| SerialConfig::device(port, args.baud, cli::host::session(), GATEWAY_MESSAGE_BYTES);
     let served = serve(
@@ -174,6 +177,7 @@ fn run(args: &RunArgs) -> Result<()> {
             clock_s: cli::host::session(),
             threads: cli::host::cores(),
             reporter: cosurf_aggregator::outputs::report,
+            page_bytes: site.as_ref().map(|_| PAGE_BYTES),
         },
         args.serial.iter().map(line).collect(),
         move || begun.elapsed(),
@@ -182,7 +186,10 @@ fn run(args: &RunArgs) -> Result<()> {
             board.iter().for_each(|board| board.note_service(event));
             show(event, json);
         },
-        move |event| show(&event, json),
+        move |event| match (&event, &heard) {
+            (SideEvent::Status(said), Some(board)) => board.note_heard(said),
+            _ => show(&event, json),
+        },
     );
     match served {
         Err(error) if error.is_setting() => {

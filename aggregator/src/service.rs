@@ -18,6 +18,7 @@
 //! | `upstream/` | models from the aggregator above, if there is one: [`upstream`] |
 //! | `suspects.json`, `reading` | models that a merge was reading when the program died |
 //! | `session` | the number of the last session |
+//! | `actions.jsonl` | what operators have done in the page, if there is one: [`crate::station`] |
 //!
 //! The newest model of each device is merged, unless it contradicts the others ([`crate::gate`]). Models are merged in
 //! the order of device ids, so their order of arrival does not change the bytes. A merge runs on its own thread while
@@ -61,6 +62,7 @@ mod set_aside;
 mod shelf;
 mod site_plan;
 mod station;
+mod statuses;
 #[cfg(test)]
 mod tests;
 mod trial;
@@ -73,8 +75,8 @@ pub(crate) use control::BROKER_ATTEMPTS_MAX;
 pub use control::{Command, ServiceConfig};
 pub use error::ServiceError;
 pub use event::ServiceEvent;
-pub(crate) use folder::write_joined;
 pub use folder::{global_ply, senders};
+pub(crate) use folder::{global_store, write_joined};
 pub use receive::Service;
 pub use record::{FitRecord, Fitted, KeptOut, Merging, withdraw};
 pub(crate) use record::{file_hash, remove};
@@ -82,5 +84,6 @@ pub use reporting::{ReportError, ReportTask, Reported, Reporter};
 pub use round::{Expected, Rounds};
 pub use serve::{Host, ServeError, SideEvent, neighbours, serve};
 pub(crate) use station::Station;
+pub use statuses::DeviceStatus;
 pub use upstream::UpstreamEvent;
 pub(crate) use upstream::{Upstream, UpstreamNode};

@@ -9,21 +9,27 @@
 //! Where to start reading: [`serve_site`] and [`serve_model`]; then [`Board`], what is known of a site, and [`live`], what
 //! there is to see and to do.
 
+mod action;
+mod audit;
 mod board;
 mod error;
 mod guard;
 mod listen;
 mod live;
 mod metrics;
+mod models;
 mod pages;
 mod serve;
+mod site_map;
+mod state;
 #[cfg(test)]
 mod tests;
 mod token;
 
+pub use action::{Act, Action};
 pub use board::Board;
 pub use error::StationError;
 pub use listen::Server;
-pub use live::Forget;
+pub use models::PAGE_BYTES;
 pub use serve::{serve_model, serve_site};
 pub use token::Token;

@@ -7,10 +7,15 @@
 //!
 //! Where to start reading: [`Walkable`], a model for the viewer; then `viewer/view.js`, which lists the parts in the browser.
 
+mod error;
 mod lie;
 mod model;
+mod room;
 
-pub use model::{Room, Walkable, WalkableError};
+pub use error::WalkableError;
+pub(crate) use lie::{ground_axes, up_of};
+pub use model::Walkable;
+pub use room::{FIRST_SPLATS, Room};
 
 /// The viewer's part of a page's style sheet.
 pub(crate) const STYLE: &str = include_str!("viewer/viewer.css");
@@ -18,14 +23,19 @@ pub(crate) const STYLE: &str = include_str!("viewer/viewer.css");
 /// The viewer's part of a page's body.
 pub(crate) const SECTION: &str = include_str!("viewer/viewer.html");
 
+/// The files of the viewer that compute with points and cameras, without drawing.
+pub(crate) const GEOMETRY: [&str; 2] = [include_str!("viewer/walk.js"), include_str!("viewer/places.js")];
+
 /// The files of the viewer, in an order in which each one uses only those before it.
-const SCRIPTS: [&str; 8] = [
+const SCRIPTS: [&str; 10] = [
     include_str!("viewer/decode.js"),
     include_str!("viewer/sort.js"),
     include_str!("viewer/shaders.js"),
     include_str!("viewer/draw.js"),
     include_str!("viewer/walk.js"),
     include_str!("viewer/places.js"),
+    include_str!("viewer/profile.js"),
+    include_str!("viewer/compare.js"),
     include_str!("viewer/input.js"),
     include_str!("viewer/view.js"),
 ];

@@ -3,11 +3,12 @@
 use std::net::SocketAddr;
 use std::path::{Path, PathBuf};
 use std::sync::Arc;
+use std::sync::mpsc::Sender;
 
 use anyhow::{Result, ensure};
 use clap::Args;
-use cosurf_aggregator::service::{AggregatorConfig, withdraw};
-use cosurf_aggregator::station::{Board, Forget, Server, Token, serve_site};
+use cosurf_aggregator::service::{AggregatorConfig, Command, withdraw};
+use cosurf_aggregator::station::{Act, Action, Board, Server, Token, serve_site};
 
 /// The option that names the configuration file of a service.
 #[derive(Args)]
@@ -34,8 +35,8 @@ impl ConfigArgs {
 /// The options of the ground station in a browser.
 #[derive(Args)]
 pub(crate) struct HttpArgs {
-    /// Show devices, log and model in a browser at this address and port, for example 127.0.0.1:8080. Other computers
-    /// need the token that is printed
+    /// Show devices, map, log and model in a browser at this address and port, for example 127.0.0.1:8080. Other
+    /// computers need the token that is printed. The page takes up to 160 MiB
     #[arg(long, value_name = "ADDRESS")]
     http: Option<SocketAddr>,
     /// File whose first line is the token [default: a random one]
@@ -50,19 +51,30 @@ pub(crate) struct ServedSite {
 }
 
 impl HttpArgs {
-    /// Serves the service or mission in a folder, if an address is given, and prints the address to standard error. If
-    /// `acts`, the operator can withdraw devices.
-    pub(crate) fn serve(&self, folder: &Path, acts: bool) -> Result<Option<ServedSite>> {
+    /// Whether an address is given.
+    pub(crate) fn is_served(&self) -> bool {
+        self.http.is_some()
+    }
+
+    /// Serves the service or mission in a folder, if an address is given, and prints the address to standard error. With
+    /// `orders`, the commands of a running service, the operator can act.
+    pub(crate) fn serve(&self, folder: &Path, orders: Option<Sender<Command>>) -> Result<Option<ServedSite>> {
         let Some(address) = self.http else { return Ok(None) };
         let token = self.http_token_file.as_deref().map_or_else(Token::random, Token::read)?;
         let board = Board::new(folder);
-        let folder = folder.to_owned();
-        let forget: Forget =
-            Arc::new(move |device| withdraw(&folder, device).map_err(|error| error.to_string()));
-        let server = serve_site(address, &token, board.clone(), acts.then_some(forget))?;
+        let act = orders.map(|orders| act_on(folder.to_owned(), orders));
+        let server = serve_site(address, &token, board.clone(), act)?;
         eprintln!("http://{}/?token={}", server.address(), token.as_str());
         Ok(Some(ServedSite { board, _server: server }))
     }
+}
+
+/// Does the operator's actions on the service in a folder, which obeys `orders`.
+fn act_on(folder: PathBuf, orders: Sender<Command>) -> Act {
+    Arc::new(move |action| match action {
+        Action::Forget(device) => withdraw(&folder, device).map_err(|error| error.to_string()),
+        Action::Merge => orders.send(Command::Merge).map_err(|_| "the service has ended".to_owned()),
+    })
 }
 
 /// Parses a length in metres: a finite number above zero.

@@ -11,15 +11,19 @@ use clap::Args;
 use cosurf_aggregator::mission::{Flown, MissionError, MissionOrder, SURVEY, Settings, Surroundings, fly};
 use cosurf_aggregator::partition::{DEFAULT_MARGIN, Division, read_cells};
 use cosurf_aggregator::report::{MissionReport, table};
+use cosurf_aggregator::station::PAGE_BYTES;
 use cosurf_city::CitySettings;
 use cosurf_contract::usage;
 use cosurf_link::BrokerAddress;
-use cosurf_scene::bytes::parse_bytes;
+use cosurf_scene::bytes::{format_bytes, parse_bytes};
 use cosurf_scene::{Dataset, FolderLock};
 
 use super::arguments::HttpArgs;
 use super::host::{cores, display, session};
 use super::merge::Ways;
+
+/// Least memory for the merge of a mission with a page, bytes. The merge itself tells if a model needs more.
+const MERGE_BYTES_MIN: u64 = 64 << 20;
 
 /// Run a whole mission on this machine, from drone pictures to a global model and a report.
 ///
@@ -78,7 +82,8 @@ pub(crate) struct MissionArgs {
     compress_first: bool,
     #[command(flatten)]
     ways: Ways,
-    /// Limit on the memory of this process while it merges, scores and draws, for example 500MiB
+    /// Limit on the memory of this process while it merges, scores and draws, for example 500MiB; with --http also for the
+    /// page
     #[arg(long, value_name = "BYTES", default_value = "4GiB", value_parser = parse_bytes)]
     merge_memory: u64,
     /// Also score the global model by LPIPS, with the weights vgg.safetensors and alex.safetensors in this folder
@@ -95,7 +100,8 @@ pub(crate) fn run(args: MissionArgs) -> Result<()> {
     let out = absolute(&args.out).context("--out")?;
     let _lock = FolderLock::take(&out, "cosurf-aggregator mission")?;
     let data = args.data.as_ref().map(absolute).transpose().context("--data")?;
-    let site = args.http.serve(&out, false)?;
+    let merge_memory = merge_memory(args.merge_memory, args.http.is_served())?;
+    let site = args.http.serve(&out, None)?;
     let around =
         Surroundings { board: site.as_ref().map(|site| site.board.clone()), ..surroundings(args.json)? };
     let (data, ingest_s) = match data {
@@ -121,7 +127,7 @@ pub(crate) fn run(args: MissionArgs) -> Result<()> {
             seed: args.seed,
             eval_every: args.eval_every,
             compress_first: args.compress_first,
-            merge: args.ways.settings(true, args.merge_memory, args.seed),
+            merge: args.ways.settings(true, merge_memory, args.seed),
         },
         ingest_s,
         city: data.is_none().then(|| city_of_seed(args.seed)),
@@ -145,6 +151,21 @@ pub(crate) fn run(args: MissionArgs) -> Result<()> {
         bail!("the survey failed: {why}");
     }
     Ok(())
+}
+
+/// What a mission may take beside its page, bytes.
+fn merge_memory(bytes: u64, has_page: bool) -> Result<u64> {
+    if !has_page {
+        return Ok(bytes);
+    }
+    let least = PAGE_BYTES + MERGE_BYTES_MIN;
+    ensure!(
+        bytes >= least,
+        "--merge-memory: with --http, give at least {}: {} of it are for the page",
+        format_bytes(least),
+        format_bytes(PAGE_BYTES)
+    );
+    Ok(bytes - PAGE_BYTES)
 }
 
 /// Makes a dataset of photographs, and returns its folder. One that is there already is used.

@@ -8,7 +8,7 @@ use std::sync::mpsc;
 use anyhow::{Context, Result};
 use clap::Args;
 use cosurf_aggregator::station::{Token, serve_model};
-use cosurf_aggregator::viewer::{Room, Walkable};
+use cosurf_aggregator::viewer::{FIRST_SPLATS, Room, Walkable};
 use cosurf_contract::counted;
 use cosurf_scene::{model, ply};
 
@@ -33,7 +33,8 @@ pub(crate) fn run(args: &ViewArgs) -> Result<()> {
     if let Some(note) = model::unusable_note(&ply::of_model(&args.model)?) {
         eprintln!("{note}");
     }
-    let model = Walkable::read(&args.model, Room::UNLIMITED)?;
+    let room = Room { first_splats: Some(FIRST_SPLATS), ..Room::UNLIMITED };
+    let model = Walkable::read(&args.model, room)?;
     let [splats, _] = model.shown();
     let (stop, stopped) = mpsc::channel();
     ctrlc::set_handler(move || {

@@ -23,7 +23,7 @@ const MODEL_BYTES_MAX: usize = 9_500_000;
 pub(crate) fn client(folder: &Path, memory_bytes: u64, threads: usize) -> Client {
     let free = memory_bytes.saturating_sub(usage::resident_bytes());
     // Half of it: the page is held once more while it is written, and the allocator does not return everything.
-    let room = Room { memory_bytes: Some(free / 2), file_bytes: Some(MODEL_BYTES_MAX) };
+    let room = Room { memory_bytes: Some(free / 2), file_bytes: Some(MODEL_BYTES_MAX), ..Room::UNLIMITED };
     let model = Walkable::read(folder, room).map_err(|error| error.to_string());
     let overview = model.as_ref().ok().and_then(|model| overview(folder, model, memory_bytes, threads));
     // The mission and the survey report a wrong file; here it only means a world without a place.

@@ -22,12 +22,14 @@ pub struct MemoryBound {
     broker_bytes: u64,
     /// For merges, and for the program itself.
     merge_bytes: u64,
+    /// For the page in a browser; 0 without one.
+    page_bytes: u64,
     /// For the rest.
     other_bytes: u64,
 }
 
 impl MemoryBound {
-    /// The bound of a service with this configuration. The memory of serial lines and of the operating system's buffers
+    /// The bound of a service with this configuration, without a page. The memory of serial lines and of the operating system's buffers
     /// comes on top.
     pub fn of(config: &AggregatorConfig) -> Self {
         let inboxes = 1 + u64::from(config.upstream.is_some());
@@ -36,7 +38,12 @@ impl MemoryBound {
         let (merge_bytes, other_bytes) = (config.merge_memory_bytes, OTHER_BYTES);
         let limits = [uploads_bytes, broker_bytes, merge_bytes, other_bytes];
         let at_most_bytes = limits.into_iter().fold(0, u64::saturating_add);
-        Self { at_most_bytes, uploads_bytes, broker_bytes, merge_bytes, other_bytes }
+        Self { at_most_bytes, uploads_bytes, broker_bytes, merge_bytes, page_bytes: 0, other_bytes }
+    }
+
+    /// The same with a page that takes at most so many bytes.
+    pub(super) fn with_page(self, page_bytes: u64) -> Self {
+        Self { at_most_bytes: self.at_most_bytes.saturating_add(page_bytes), page_bytes, ..self }
     }
 
     /// All of it, bytes.
@@ -47,14 +54,20 @@ impl MemoryBound {
 
 impl fmt::Display for MemoryBound {
     fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
-        let [all, uploads, broker, merge, other] =
-            [self.at_most_bytes, self.uploads_bytes, self.broker_bytes, self.merge_bytes, self.other_bytes]
-                .map(|bytes| bytes.div_ceil(1 << 20));
+        let mib = |bytes: u64| bytes.div_ceil(1 << 20);
         write!(
             f,
-            "memory: at most {all} MiB: {uploads} for uploads (`memory`), {broker} for the built-in broker \
-             (`broker_memory`), {merge} for merges (`merge_memory`), {other} for the rest"
-        )
+            "memory: at most {} MiB: {} for uploads (`memory`), {} for the built-in broker (`broker_memory`), {} for merges \
+             (`merge_memory`), ",
+            mib(self.at_most_bytes),
+            mib(self.uploads_bytes),
+            mib(self.broker_bytes),
+            mib(self.merge_bytes)
+        )?;
+        if self.page_bytes > 0 {
+            write!(f, "{} for the page (`--http`), ", mib(self.page_bytes))?;
+        }
+        write!(f, "{} for the rest", mib(self.other_bytes))
     }
 }
 
@@ -73,6 +86,12 @@ mod tests {
         let with_broker = "merge_memory_bytes = 2_097_153\nbroker_memory_bytes = 16_777_216\n";
         let text = bound(&format!("{with_broker}bind = \"127.0.0.1:0\"\n")).to_string();
         assert!(text.starts_with("memory: at most 84 MiB: 1 for uploads"), "{text}");
+        let without = bound("");
+        let with = without.with_page(160 << 20);
+        assert_eq!(with.at_most_bytes - without.at_most_bytes, 160 << 20);
+        assert!(
+            with.to_string().contains("160 for the page (`--http`)") && !without.to_string().contains("page")
+        );
         assert_eq!(bound(with_broker).broker_bytes, 0, "the broker is elsewhere");
         let above = "[upstream]\nsite = \"a\"\ndevice = \"d\"\nbroker = \"mqtt://h:1\"\n";
         assert_eq!(bound(above).uploads_bytes, 2 << 20);

@@ -314,6 +314,7 @@ impl Keeper {
                     self.given_up.insert(device);
                     self.round = Some(Round::extend(self.round.take(), now));
                 }
+                Ok(Command::Merge) => self.round = Some(Round::at_once(self.round.take(), now)),
                 Ok(Command::Finish) => {
                     self.begin_when_due(node, now);
                     return RunState::Finishing;

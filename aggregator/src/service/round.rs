@@ -43,14 +43,23 @@ pub(super) struct Round {
     last: Duration,
     /// Devices whose models have extended the round.
     senders: BTreeSet<DeviceId>,
+    /// True if the operator has ended the round.
+    is_ended: bool,
 }
 
 impl Round {
     /// Begins a round, or extends `round`. The cause at `now` is a command, a withdrawal, or a failed merge or write that
     /// must be tried again.
     pub(super) fn extend(round: Option<Self>, now: Duration) -> Self {
-        let (begun, senders) = round.map_or((now, BTreeSet::new()), |round| (round.begun, round.senders));
-        Self { begun, last: now, senders }
+        match round {
+            Some(round) => Self { last: now, ..round },
+            None => Self { begun: now, last: now, senders: BTreeSet::new(), is_ended: false },
+        }
+    }
+
+    /// Ends `round`, or a new one, because the operator wants a merge.
+    pub(super) fn at_once(round: Option<Self>, now: Duration) -> Self {
+        Self { is_ended: true, ..Self::extend(round, now) }
     }
 
     /// Begins a round, or extends `round`, because a model of `device` has arrived.
@@ -75,6 +84,7 @@ impl Round {
         now: Duration,
     ) -> bool {
         match expected {
+            _ if self.is_ended => true,
             Expected::Devices(devices) => {
                 devices.iter().all(|device| here.contains(device) || given_up.contains(device))
             }
@@ -100,6 +110,14 @@ mod tests {
         let round = Round::extend(None, s(10));
         assert!(!round.is_over(&rounds, &one, &one, s(69)), "one device is no quorum");
         assert!(round.is_over(&rounds, &one, &one, s(70)), "the deadline ends the round");
+        let ended = Round::at_once(Some(round.clone()), s(11));
+        assert!(ended.is_over(&rounds, &one, &one, s(11)), "the operator ends the round");
+        assert!(Round::extend_by(Some(ended), DeviceId::new("c").unwrap(), s(12)).is_over(
+            &rounds,
+            &one,
+            &one,
+            s(12)
+        ));
         let round = Round::extend(Some(round), s(20));
         assert!(!round.is_over(&rounds, &two, &one, s(24)), "another model may follow soon");
         assert!(round.is_over(&rounds, &two, &one, s(25)));

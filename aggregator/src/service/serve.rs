@@ -9,12 +9,14 @@ use std::ops::ControlFlow;
 use std::sync::mpsc::Receiver;
 use std::time::Duration;
 
+use cosurf_link::mqtt::HeardStatus;
 use cosurf_link::{
     Credentials, Identity, InboxLimits, MqttTransport, Role, SerialConfig, Trusted, next_session,
 };
 use cosurf_scene::{FolderLock, SceneError};
 use cosurf_wire::{DeviceId, FrameId, SiteId};
 use serde::Serialize;
+use tracing::debug;
 
 use super::above::AboveLink;
 use super::bound::MemoryBound;
@@ -27,6 +29,7 @@ use super::receive::Service;
 use super::reporting::{ReportTask, Reporter};
 use super::round::{Expected, Rounds};
 use super::site_plan::read_plan;
+use super::statuses::DeviceStatus;
 use super::upstream::{Upstream, UpstreamEvent, UpstreamNode};
 use crate::broker::{Broker, BrokerEvent, Reach};
 use crate::gateway::{Gateway, GatewayEvent};
@@ -52,6 +55,8 @@ pub enum SideEvent {
     Broker(BrokerEvent),
     /// How much memory the service takes at most; told at the start.
     Memory(MemoryBound),
+    /// How far a device is. Told only if [`Host::page_bytes`] is given.
+    Status(Box<DeviceStatus>),
 }
 
 impl fmt::Display for SideEvent {
@@ -61,6 +66,9 @@ impl fmt::Display for SideEvent {
             Self::Upstream(event) => event.fmt(f),
             Self::Broker(event) => event.fmt(f),
             Self::Memory(bound) => bound.fmt(f),
+            Self::Status(said) => {
+                write!(f, "{}: step {} of {}", said.device, said.status.step, said.status.steps)
+            }
         }
     }
 }
@@ -75,6 +83,9 @@ pub struct Host {
     pub threads: usize,
     /// Makes the reports.
     pub reporter: Reporter,
+    /// Limit on the memory of a page that shows the service, bytes; `None` without a page. It is part of the memory that
+    /// the service tells, and devices' statuses are told for it.
+    pub page_bytes: Option<u64>,
 }
 
 /// Serves a site and the devices on the serial `lines`, until a command ends it or the sender of `commands` is dropped.
@@ -99,7 +110,7 @@ pub fn serve(
     let plan = config.plan.as_deref().map(|file| read_plan(file, config.margin)).transpose()?;
     let say_broker = say_beside.clone();
     let (embedded, reach) = reach_broker(config, move |event| say_broker(SideEvent::Broker(event)))?;
-    say_beside(SideEvent::Memory(MemoryBound::of(config)));
+    say_beside(SideEvent::Memory(MemoryBound::of(config).with_page(host.page_bytes.unwrap_or(0))));
     let _gateways = start_gateways(config.site, &reach, lines, &say_beside);
     let identity = open_session(config, host.clock_s)?;
     let introduce = embedded.as_ref().map(|broker| introducer(config, broker)).transpose()?;
@@ -112,14 +123,19 @@ pub fn serve(
     if let Some(workers) = &config.workers {
         service = employ(service, workers, &identity)?;
     }
+    let link = reach.config(identity, key.as_ref());
+    let mut transport = match host.page_bytes {
+        None => MqttTransport::start(link),
+        Some(_) => MqttTransport::start_hearing(link, say_statuses(say_beside.clone())),
+    };
     let mut upstream = None;
     if let Some(above) = &config.upstream {
         let say = move |event| say_beside(SideEvent::Upstream(event));
-        let (started, link) = start_upstream(config, above, identity.session, credentials, now.clone(), say)?;
-        service = service.below(link, Duration::from_secs(config.deadline_s));
+        let (started, above) =
+            start_upstream(config, above, identity.session, credentials, now.clone(), say)?;
+        service = service.below(above, Duration::from_secs(config.deadline_s));
         upstream = Some(started);
     }
-    let mut transport = MqttTransport::start(reach.config(identity, key.as_ref()));
     let mut connections = Connections { upstream, was_connected: false, failure: None };
     service.run(&mut transport, now, commands, |event| {
         say(&event);
@@ -129,6 +145,14 @@ pub fn serve(
         connections.follow(event)
     });
     connections.failure.map_or(Ok(()), Err)
+}
+
+/// Says how far a device is. Statuses that are not well formed are left out.
+fn say_statuses(say: impl Fn(SideEvent)) -> impl Fn(HeardStatus) {
+    move |heard| match DeviceStatus::read(&heard) {
+        Ok(said) => say(SideEvent::Status(Box::new(said))),
+        Err(error) => debug!(device = %heard.device, %error, "ignored a status"),
+    }
 }
 
 /// The service's connections to the broker and to the aggregator above.

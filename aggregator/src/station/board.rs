@@ -2,28 +2,34 @@
 //! and scripts read it.
 //!
 //! What it knows nothing about: HTTP, and how models are merged. Everything on it is bounded: devices, lines, and the
-//! length of texts. A reader is told only that the board has changed, so a slow one keeps nothing waiting: it reads the
-//! newest state, which sums up what it has missed.
+//! length of texts. A reader is told only that the board has changed, so a slow one keeps nothing waiting: it reads all that
+//! has changed since it last read, each device once.
 
 use std::collections::{BTreeMap, VecDeque};
 use std::path::{Path, PathBuf};
 use std::sync::{Arc, Mutex, MutexGuard, PoisonError};
-use std::time::Instant;
+use std::time::{Instant, SystemTime, UNIX_EPOCH};
 
-use cosurf_contract::{AgentStatus, Escaped};
+use cosurf_contract::{AgentPhase, AgentStatus, Curve, Escaped};
+use cosurf_link::ModelStore;
 use cosurf_wire::DeviceId;
-use serde::Serialize;
 use tokio::sync::watch;
 
+use super::state::{DeviceState, Line, Revision, State};
 use crate::merge::MergeProgress;
-use crate::service::{KeptOut, Merging, ServiceEvent};
+use crate::service::{DeviceStatus, KeptOut, Merging, ServiceEvent};
 
 /// Largest number of devices; further ones have no row.
 const DEVICES_MAX: usize = 1024;
+/// A device that has only told how far it is gets a row up to this number of devices: at a broker that lets everybody write,
+/// invented names must leave rows for devices that send models.
+const TOLD_DEVICES_MAX: usize = 768;
 /// Largest number of lines of the log; the oldest ones go.
 const LINES_MAX: usize = 300;
 /// Longest text of a line, characters.
 const LINE_CHARS_MAX: usize = 400;
+/// Largest number of points of a training curve that are shown: as many as a small chart has pixels for.
+const CURVE_POINTS_MAX: usize = 32;
 
 /// A board. Clones share it.
 #[derive(Clone, Debug)]
@@ -34,7 +40,7 @@ struct Shared {
     folder: PathBuf,
     begun: Instant,
     state: Mutex<Notes>,
-    /// Number of changes.
+    /// The number of the newest change.
     changes: watch::Sender<u64>,
 }
 
@@ -45,120 +51,87 @@ struct Notes {
     merge: Option<MergeProgress>,
     revision: Option<Revision>,
     devices: BTreeMap<DeviceId, Device>,
-    log: VecDeque<Line>,
+    /// Lines with the number of the change that wrote them.
+    log: VecDeque<(u64, Line)>,
     events: u64,
+    /// Number of changes so far.
+    change: u64,
 }
 
 #[derive(Clone, Debug, Default)]
 struct Device {
     status: Option<AgentStatus>,
-    /// When it was last heard, seconds since the board was made.
+    /// Curve of the training since the program began.
+    curve: Curve,
+    /// When it was last heard, seconds since the board was made; below 0 if that was before.
     heard_s: Option<f64>,
     model: Option<u64>,
     uploads: u64,
     kept_out: Option<String>,
-}
-
-/// A revision of the global model.
-#[derive(Clone, Debug, PartialEq, Serialize)]
-pub(super) struct Revision {
-    /// Its number.
-    pub(super) revision: u64,
-    /// Number of splats.
-    splats: usize,
-    /// Number of local models that were merged.
-    models: usize,
-    /// True once its report is in the folder.
-    is_reported: bool,
-}
-
-/// A line of the log.
-#[derive(Clone, Debug, PartialEq, Serialize)]
-struct Line {
-    /// Seconds since the board was made.
-    at_s: f64,
-    text: String,
-}
-
-/// The state of a site as pages and scripts read it.
-#[derive(Clone, Debug, PartialEq, Serialize)]
-pub(super) struct State {
-    /// Seconds since the program began.
-    pub(super) uptime_s: f64,
-    /// Whether the broker is reached.
-    pub(super) is_connected: bool,
-    /// Progress of the merge that is running; absent if none is.
-    merge: Option<MergeProgress>,
-    /// The newest revision; absent before the first.
-    pub(super) revision: Option<Revision>,
-    /// The devices, by name.
-    pub(super) devices: Vec<DeviceState>,
-    /// The newest lines of the log, oldest first.
-    log: Vec<Line>,
-    /// Number of events so far.
-    pub(super) events: u64,
-}
-
-/// The state of a device.
-#[derive(Clone, Debug, PartialEq, Serialize)]
-pub(super) struct DeviceState {
-    /// Its name.
-    pub(super) device: String,
-    /// Seconds since it was last heard; absent if only its models are known.
-    pub(super) heard_s_ago: Option<f64>,
-    /// How far it is, as it says itself; absent if it has not said so.
-    pub(super) status: Option<AgentStatus>,
-    /// Number of its newest model that is stored; absent before the first.
-    model: Option<u64>,
-    /// Number of models that have arrived since the program began.
-    pub(super) uploads: u64,
-    /// Why its model is kept out of the newest revision; absent if it is not.
-    pub(super) kept_out: Option<String>,
+    /// The number of its newest change.
+    changed: u64,
 }
 
 impl Board {
-    /// An empty board of the service or mission with this folder. A revision that is there already is on it.
+    /// The board of the service or mission with this folder. Models and a revision that are there already are on it.
     pub fn new(folder: &Path) -> Self {
-        let revision = Merging::read(folder).map(|merging| Revision {
-            revision: merging.revision,
-            splats: merging.summary.splats,
-            models: merging.inputs.len() - merging.kept_out.len(),
-            is_reported: folder.join("report.html").is_file(),
-        });
-        let state = Mutex::new(Notes { revision, ..Notes::default() });
-        let (changes, _) = watch::channel(0);
+        let mut notes = Notes { change: 1, ..Notes::default() };
+        for key in ModelStore::beside(&folder.join("models")).keys().unwrap_or_default() {
+            if let Some(known) = notes.device(key.device, DEVICES_MAX) {
+                known.model = known.model.max(Some(key.model.0));
+            }
+        }
+        if let Some(merging) = Merging::read(folder) {
+            notes.keep_out(&merging.kept_out);
+            notes.revision = Some(Revision {
+                revision: merging.revision,
+                splats: merging.summary.splats,
+                models: merging.inputs.len() - merging.kept_out.len(),
+                is_reported: folder.join("report.html").is_file(),
+            });
+        }
+        let state = Mutex::new(notes);
+        let (changes, _) = watch::channel(1);
         Self(Arc::new(Shared { folder: folder.into(), begun: Instant::now(), state, changes }))
     }
 
     /// Notes an event of the service.
     pub fn note_service(&self, event: &ServiceEvent) {
-        let mut notes = self.notes();
-        notes.events += 1;
-        notes.follow(event);
-        let is_told = !matches!(event, ServiceEvent::Merging(_));
-        if is_told {
-            notes.write(self.now_s(), &Escaped(event).to_string());
-        }
-        drop(notes);
-        self.tell();
+        self.change(|notes, now_s| {
+            notes.events += 1;
+            notes.follow(event);
+            if !matches!(event, ServiceEvent::Merging(_)) {
+                notes.write(now_s, &Escaped(event).to_string());
+            }
+        });
     }
 
-    /// Notes how far an agent is.
+    /// Notes how far an agent is, as it tells now.
     pub fn note_status(&self, device: DeviceId, status: AgentStatus) {
-        let now_s = self.now_s();
-        let mut notes = self.notes();
-        if let Some(known) = notes.device(device) {
-            known.status = Some(status);
-            known.heard_s = Some(now_s);
-        }
-        drop(notes);
-        self.tell();
+        self.note_status_of(device, status, 0.0);
+    }
+
+    /// Notes how far a device is, as it has told through the broker. A status that the broker has kept is as old as the
+    /// time in it.
+    pub fn note_heard(&self, DeviceStatus { device, status, is_kept }: &DeviceStatus) {
+        let clock_s = SystemTime::now().duration_since(UNIX_EPOCH).map_or(0, |since| since.as_secs());
+        let age_s = if *is_kept { clock_s.saturating_sub(status.time_s) } else { 0 };
+        self.note_status_of(*device, status.clone(), age_s as f64);
+    }
+
+    fn note_status_of(&self, device: DeviceId, status: AgentStatus, age_s: f64) {
+        self.change(|notes, now_s| {
+            let Some(known) = notes.device(device, TOLD_DEVICES_MAX) else { return };
+            if let (AgentPhase::Training, Some(psnr)) = (status.phase, status.psnr) {
+                known.curve.push(status.step, psnr);
+            }
+            (known.status, known.heard_s) = (Some(status), Some(now_s - age_s));
+        });
     }
 
     /// Writes a line into the log.
     pub fn note_line(&self, text: &str) {
-        self.notes().write(self.now_s(), &Escaped(text).to_string());
-        self.tell();
+        self.change(|notes, now_s| notes.write(now_s, &Escaped(text).to_string()));
     }
 
     /// The folder of the service or mission.
@@ -176,26 +149,43 @@ impl Board {
         self.0.changes.subscribe()
     }
 
+    /// The devices with a stored model, by name, each with the number of its newest one.
+    pub(super) fn models(&self) -> Vec<(DeviceId, u64)> {
+        self.notes().devices.iter().filter_map(|(device, its)| Some((*device, its.model?))).collect()
+    }
+
     /// The state of the site.
     pub(super) fn state(&self) -> State {
+        self.state_since(0).0
+    }
+
+    /// What has changed since the change with this number, 0 for everything; and the number of the newest change.
+    pub(super) fn state_since(&self, seen: u64) -> (State, u64) {
         let (now_s, notes) = (self.now_s(), self.notes());
-        let device = |(device, its): (&DeviceId, &Device)| DeviceState {
-            device: device.to_string(),
-            heard_s_ago: its.heard_s.map(|heard_s| now_s - heard_s),
-            status: its.status.clone(),
-            model: its.model,
-            uploads: its.uploads,
-            kept_out: its.kept_out.clone(),
-        };
-        State {
+        let is_new = |change: u64| seen == 0 || change > seen;
+        let devices = notes.devices.iter().filter(|(_, its)| is_new(its.changed));
+        let log = notes.log.iter().filter(|(change, _)| is_new(*change));
+        let state = State {
+            is_whole: seen == 0,
             uptime_s: now_s,
             is_connected: notes.is_connected,
             merge: notes.merge,
             revision: notes.revision.clone(),
-            devices: notes.devices.iter().map(device).collect(),
-            log: notes.log.iter().cloned().collect(),
+            devices: devices.map(|(device, its)| its.state(device, now_s)).collect(),
+            log: log.map(|(_, line)| line.clone()).collect(),
             events: notes.events,
-        }
+        };
+        (state, notes.change)
+    }
+
+    /// Changes what is on the board, and tells the readers.
+    fn change(&self, what: impl FnOnce(&mut Notes, f64)) {
+        let mut notes = self.notes();
+        notes.change += 1;
+        what(&mut notes, self.now_s());
+        let change = notes.change;
+        drop(notes);
+        self.0.changes.send_modify(|newest| *newest = change.max(*newest));
     }
 
     fn notes(&self) -> MutexGuard<'_, Notes> {
@@ -205,19 +195,36 @@ impl Board {
     fn now_s(&self) -> f64 {
         self.0.begun.elapsed().as_secs_f64()
     }
+}
 
-    fn tell(&self) {
-        self.0.changes.send_modify(|changes| *changes += 1);
+impl Device {
+    fn state(&self, device: &DeviceId, now_s: f64) -> DeviceState {
+        let points = self.curve.points();
+        let count = points.len().min(CURVE_POINTS_MAX);
+        let spaced = (0..count).map(|i| points[i * (points.len() - 1) / (count - 1).max(1)]);
+        // Two decimals are more than a chart shows.
+        let short = |v: f32| (f64::from(v) * 100.0).round() / 100.0;
+        DeviceState {
+            device: device.to_string(),
+            heard_s_ago: self.heard_s.map(|heard_s| now_s - heard_s),
+            status: self.status.clone(),
+            curve: spaced.map(|point| point.map(short)).collect(),
+            model: self.model,
+            uploads: self.uploads,
+            kept_out: self.kept_out.clone(),
+        }
     }
 }
 
 impl Notes {
-    /// The row of a device; `None` if there are too many.
-    fn device(&mut self, device: DeviceId) -> Option<&mut Device> {
-        if self.devices.len() >= DEVICES_MAX && !self.devices.contains_key(&device) {
+    /// The row of a device that changes; `None` if it has none and there are `most` already.
+    fn device(&mut self, device: DeviceId, most: usize) -> Option<&mut Device> {
+        if self.devices.len() >= most && !self.devices.contains_key(&device) {
             return None;
         }
-        Some(self.devices.entry(device).or_default())
+        let its = self.devices.entry(device).or_default();
+        its.changed = self.change;
+        Some(its)
     }
 
     fn follow(&mut self, event: &ServiceEvent) {
@@ -225,7 +232,7 @@ impl Notes {
             ServiceEvent::Connected => self.is_connected = true,
             ServiceEvent::Disconnected { .. } => self.is_connected = false,
             ServiceEvent::Stored { header } => {
-                if let Some(device) = self.device(header.device) {
+                if let Some(device) = self.device(header.device, DEVICES_MAX) {
                     (device.model, device.uploads) = (Some(header.model.0), device.uploads + 1);
                 }
             }
@@ -242,8 +249,8 @@ impl Notes {
                 newest.into_iter().for_each(|newest| newest.is_reported = true);
             }
             ServiceEvent::Withdrawn { device } => {
-                if let Some(device) = self.devices.get_mut(device) {
-                    (device.model, device.kept_out) = (None, None);
+                if let Some(its) = self.devices.get_mut(device) {
+                    (its.model, its.kept_out, its.changed) = (None, None, self.change);
                 }
             }
             ServiceEvent::GlobalWithdrawn => self.revision = None,
@@ -256,7 +263,10 @@ impl Notes {
         self.merge = None;
         for (device, its) in &mut self.devices {
             let its_own = kept_out.iter().find(|kept_out| kept_out.device == device.as_str());
-            its.kept_out = its_own.map(|kept_out| kept_out.reason.clone());
+            let reason = its_own.map(|kept_out| kept_out.reason.clone());
+            if reason != its.kept_out {
+                (its.kept_out, its.changed) = (reason, self.change);
+            }
         }
     }
 
@@ -264,7 +274,8 @@ impl Notes {
         if self.log.len() >= LINES_MAX {
             self.log.pop_front();
         }
-        self.log.push_back(Line { at_s, text: text.chars().take(LINE_CHARS_MAX).collect() });
+        let line = Line { at_s, text: text.chars().take(LINE_CHARS_MAX).collect() };
+        self.log.push_back((self.change, line));
     }
 }
 
@@ -305,7 +316,7 @@ mod tests {
             board.note_line(&"x".repeat(LINE_CHARS_MAX + 7));
         }
         let state = board.state();
-        assert_eq!((state.devices.len(), state.log.len()), (DEVICES_MAX, LINES_MAX));
+        assert_eq!((state.devices.len(), state.log.len()), (TOLD_DEVICES_MAX, LINES_MAX));
         assert!(state.log.iter().all(|line| line.text.len() == LINE_CHARS_MAX));
     }
 
@@ -317,5 +328,57 @@ mod tests {
         assert!(changes.has_changed().unwrap());
         changes.mark_unchanged();
         assert!(!changes.has_changed().unwrap(), "one change stands for all");
+    }
+
+    #[test]
+    fn an_event_has_only_what_has_changed() {
+        let board = board();
+        ["a", "b"].into_iter().for_each(|name| board.note_status(device(name), AgentStatus::new(9, "1")));
+        board.note_line("first");
+        let (whole, seen) = board.state_since(0);
+        assert!(whole.is_whole && whole.devices.len() == 2 && whole.log.len() == 1);
+        for step in 1..=1000 {
+            let status = AgentStatus { step, ..AgentStatus::new(1000, "1") };
+            board.note_status(device("b"), status);
+        }
+        board.note_line("second");
+        let (change, _) = board.state_since(seen);
+        let names: Vec<&str> = change.devices.iter().map(|its| its.device.as_str()).collect();
+        assert_eq!((change.is_whole, names), (false, vec!["b"]));
+        assert_eq!(
+            change.devices[0].status.as_ref().unwrap().step,
+            1000,
+            "one row sums up a thousand changes"
+        );
+        assert_eq!(change.log.iter().map(|line| line.text.as_str()).collect::<Vec<_>>(), ["second"]);
+    }
+
+    #[test]
+    fn the_curve_of_a_device_is_short_and_ends_with_the_newest_step() {
+        let board = board();
+        for step in 1..=5000 {
+            let status = AgentStatus {
+                phase: AgentPhase::Training,
+                step,
+                psnr: Some(20.123_456),
+                ..AgentStatus::new(5000, "1")
+            };
+            board.note_status(device("a"), status);
+        }
+        let curve = board.state().devices[0].curve.clone();
+        assert!(curve.len() <= CURVE_POINTS_MAX && curve.len() > CURVE_POINTS_MAX / 2, "{}", curve.len());
+        assert_eq!(curve.last(), Some(&[5000.0, 20.12]));
+    }
+
+    #[test]
+    fn a_kept_status_is_as_old_as_its_time() {
+        let board = board();
+        let clock_s = SystemTime::now().duration_since(UNIX_EPOCH).unwrap().as_secs();
+        for (name, time_s) in [("old", clock_s - 500), ("ahead", clock_s + 500)] {
+            let status = AgentStatus { time_s, ..AgentStatus::new(9, "1") };
+            board.note_heard(&DeviceStatus { device: device(name), status, is_kept: true });
+        }
+        let ages: Vec<f64> = board.state().devices.iter().filter_map(|its| its.heard_s_ago).collect();
+        assert!(ages[0] < 5.0 && (499.0..520.0).contains(&ages[1]), "{ages:?}");
     }
 }

@@ -1,11 +1,11 @@
 //! The server: accepts connections and bounds what each of them may take. A connection serves one request, so that an idle
 //! one never outlives the time for a request's head.
 
-use std::net::SocketAddr;
+use std::net::{IpAddr, SocketAddr};
 use std::sync::Arc;
 use std::time::Duration;
 
-use axum::Router;
+use axum::{Extension, Router};
 use hyper::server::conn::http1;
 use hyper_util::rt::{TokioIo, TokioTimer};
 use hyper_util::service::TowerToHyperService;
@@ -28,6 +28,10 @@ const HEAD_BYTES_MAX: usize = 8192;
 const HEADERS_MAX: usize = 64;
 /// Pause after an error of the system, for example if it has no more sockets.
 const PAUSE: Duration = Duration::from_millis(50);
+
+/// Where a request came from: the address of a browser or script, or of the proxy in front of it.
+#[derive(Clone, Copy, Debug)]
+pub(super) struct Peer(pub(super) IpAddr);
 
 /// A running server. It ends when this value is dropped.
 #[derive(Debug)]
@@ -65,12 +69,12 @@ impl Drop for Server {
 async fn accept(listener: TcpListener, routes: Router) {
     let room = Arc::new(Semaphore::new(CONNECTIONS_MAX));
     loop {
-        let Ok((stream, _)) = listener.accept().await else {
+        let Ok((stream, from)) = listener.accept().await else {
             sleep(PAUSE).await;
             continue;
         };
         let Ok(permit) = room.clone().try_acquire_owned() else { continue };
-        let routes = routes.clone();
+        let routes = routes.clone().layer(Extension(Peer(from.ip())));
         tokio::spawn(async move {
             let _ = timeout(CONNECTION_MAX, serve(stream, routes)).await;
             drop(permit);

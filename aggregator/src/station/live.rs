@@ -1,65 +1,61 @@
-//! What there is to see and to do on a running site: its state, events, metrics, the newest model, and the operator's
+//! What there is to see and to do on a running site: its state, events, metrics, map and models, and the operator's
 //! actions.
 
 use std::convert::Infallible;
-use std::sync::Arc;
+use std::net::IpAddr;
+use std::sync::{Arc, Mutex, PoisonError};
 use std::time::Duration;
 
-use axum::Router;
 use axum::body::{Bytes, to_bytes};
 use axum::extract::{Request, State};
 use axum::http::StatusCode;
 use axum::response::sse::{Event, KeepAlive, Sse};
 use axum::response::{IntoResponse, Response};
 use axum::routing::{get, post};
+use axum::{Extension, Router};
 use cosurf_wire::DeviceId;
 use futures_util::Stream;
 use futures_util::stream::unfold;
-use serde::Deserialize;
-use tokio::sync::{Mutex, OwnedSemaphorePermit, Semaphore, watch};
+use serde::{Deserialize, Serialize};
+use tokio::sync::{OwnedSemaphorePermit, Semaphore, watch};
 use tokio::task::spawn_blocking;
 use tokio::time::sleep;
 
+use super::action::{Act, Action};
+use super::audit::Audit;
 use super::board::Board;
+use super::listen::Peer;
 use super::metrics::{self, metrics};
-use super::pages::{html, live_page, typed};
-use crate::viewer::{Room, Walkable};
+use super::models::{Models, Served};
+use super::pages::{html, live_page, spz_file, typed};
+use super::site_map::Atlas;
 
 /// Largest number of readers of events.
-const READERS_MAX: usize = 32;
+const READERS_MAX: usize = 64;
 /// Shortest time between two events for a reader.
 const EVENT_EVERY: Duration = Duration::from_millis(500);
 /// Time after which a reader of events is told that the server still lives.
-const ALIVE_EVERY: Duration = Duration::from_secs(15);
+const ALIVE_EVERY: Duration = Duration::from_secs(5);
 /// Largest body of a request, bytes.
 const BODY_BYTES_MAX: usize = 4096;
-/// What the model of the page may take.
-const ROOM: Room = Room { memory_bytes: Some(128 << 20), file_bytes: Some(32 << 20) };
-
-/// Withdraws a device at the operator's request. The error is one line for the operator.
-pub type Forget = Arc<dyn Fn(&DeviceId) -> Result<(), String> + Send + Sync>;
 
 /// A running site for its routes.
 #[derive(Clone)]
 pub(super) struct Live {
     board: Board,
-    forget: Option<Forget>,
+    act: Option<Act>,
+    audit: Arc<Audit>,
     readers: Arc<Semaphore>,
-    /// The newest model that was asked for, with its revision.
-    model: Arc<Mutex<Option<(u64, Served)>>>,
-}
-
-/// A model as it is served.
-#[derive(Clone)]
-struct Served {
-    scene: Bytes,
-    spz: Bytes,
+    models: Models,
+    atlas: Arc<Mutex<Atlas>>,
 }
 
 impl Live {
-    /// Without `forget` there are no actions.
-    pub(super) fn new(board: Board, forget: Option<Forget>) -> Self {
-        Self { board, forget, readers: Arc::new(Semaphore::new(READERS_MAX)), model: Arc::default() }
+    /// Without `act` there are no actions.
+    pub(super) fn new(board: Board, act: Option<Act>) -> Self {
+        let audit = Arc::new(Audit::of(board.folder()));
+        let readers = Arc::new(Semaphore::new(READERS_MAX));
+        Self { board, act, audit, readers, models: Models::default(), atlas: Arc::default() }
     }
 
     /// The routes of the site.
@@ -68,78 +64,96 @@ impl Live {
             .route("/", get(page))
             .route("/api/state", get(state))
             .route("/api/events", get(events))
+            .route("/api/map", get(map))
             .route("/metrics", get(show_metrics))
-            .route("/scene.json", get(scene))
-            .route("/model.spz", get(spz));
-        let routes = match self.forget {
-            Some(_) => routes.route("/api/forget", post(forget)),
+            .route("/scene.json", get(async |State(live): State<Live>| scene(live.newest().await)))
+            .route("/first.spz", get(async |State(live): State<Live>| first(live.newest().await)))
+            .route("/model.spz", get(async |State(live): State<Live>| spz(live.newest().await)))
+            .route("/before/scene.json", get(async |State(live): State<Live>| scene(live.before().await)))
+            .route("/before/model.spz", get(async |State(live): State<Live>| spz(live.before().await)));
+        let routes = match self.act {
+            Some(_) => routes.route("/api/forget", post(forget)).route("/api/merge", post(merge)),
             None => routes,
         };
         routes.with_state(self)
     }
 
-    /// The newest model; `None` if there is none, or if it cannot be shown.
-    async fn model(&self) -> Option<Served> {
-        let revision = self.board.revision()?;
-        // Held while the model is read, so that several readers do not read it at once.
-        let mut known = self.model.lock().await;
-        if let Some((of, served)) = known.as_ref()
-            && *of == revision
-        {
-            return Some(served.clone());
-        }
-        let folder = self.board.folder().to_owned();
-        let model = spawn_blocking(move || Walkable::read(&folder, ROOM)).await.ok()?;
-        let model =
-            model.inspect_err(|error| self.board.note_line(&format!("no model to show: {error}"))).ok()?;
-        let scene = Bytes::from(model.scene_json());
-        let served = Served { scene, spz: model.into_spz().into() };
-        *known = Some((revision, served.clone()));
-        Some(served)
+    async fn newest(&self) -> Option<Served> {
+        self.models.newest(&self.board).await
     }
 
-    /// Withdraws a device, and logs it.
-    fn withdraw(&self, device: &DeviceId) -> Response {
-        let Some(forget) = &self.forget else { return StatusCode::NOT_FOUND.into_response() };
-        let done = forget(device);
-        let outcome = done.as_ref().map_or_else(|error| format!("failed: {error}"), |()| "done".into());
-        self.board.note_line(&format!("the operator forgets {device}: {outcome}"));
-        match done {
-            Ok(()) => StatusCode::NO_CONTENT.into_response(),
-            Err(error) => (StatusCode::CONFLICT, format!("{error}\n")).into_response(),
-        }
+    async fn before(&self) -> Option<Served> {
+        self.models.before(&self.board).await
+    }
+
+    /// Does an action, and records it. An action that cannot be recorded is not done.
+    async fn act(self, action: Action, by: IpAddr) -> Response {
+        let work = move || {
+            let Some(act) = &self.act else { return StatusCode::NOT_FOUND.into_response() };
+            let failed = |status, error: String| (status, format!("{error}\n")).into_response();
+            if let Err(error) = self.audit.note(by, &action, "asked for") {
+                return failed(
+                    StatusCode::INTERNAL_SERVER_ERROR,
+                    format!("not done, as it is not recorded: {error}"),
+                );
+            }
+            let done = act(&action);
+            let outcome = done.as_ref().map_or_else(|error| format!("failed: {error}"), |()| "done".into());
+            let recorded = self.audit.note(by, &action, &outcome);
+            self.board.note_line(&format!("the operator at {by} asks to {action}: {outcome}"));
+            match (done, recorded) {
+                (Ok(()), Ok(())) => StatusCode::NO_CONTENT.into_response(),
+                (Ok(()), Err(error)) => failed(StatusCode::INTERNAL_SERVER_ERROR, error.to_string()),
+                (Err(error), _) => failed(StatusCode::CONFLICT, error),
+            }
+        };
+        spawn_blocking(work).await.unwrap_or(StatusCode::INTERNAL_SERVER_ERROR.into_response())
     }
 }
 
 async fn page(State(live): State<Live>) -> Response {
-    html(live_page(live.board.revision(), live.forget.is_some()))
+    html(live_page(live.board.revision(), live.act.is_some()))
+}
+
+fn json(value: &impl Serialize) -> Response {
+    typed("application/json", serde_json::to_string(value).expect("numbers and texts"))
 }
 
 async fn state(State(live): State<Live>) -> Response {
-    let text = serde_json::to_string(&live.board.state()).expect("numbers and texts");
-    typed("application/json", text)
+    json(&live.board.state())
 }
 
 async fn show_metrics(State(live): State<Live>) -> Response {
     typed(metrics::CONTENT_TYPE, metrics(&live.board.state()))
 }
 
-async fn scene(State(live): State<Live>) -> Response {
-    let model = live.model().await;
-    model.map_or(StatusCode::NOT_FOUND.into_response(), |model| typed("application/json", model.scene))
+async fn map(State(live): State<Live>) -> Response {
+    let work = move || {
+        let mut atlas = live.atlas.lock().unwrap_or_else(PoisonError::into_inner);
+        json(&atlas.map(live.board.folder(), &live.board.models()))
+    };
+    spawn_blocking(work).await.unwrap_or(StatusCode::INTERNAL_SERVER_ERROR.into_response())
 }
 
-async fn spz(State(live): State<Live>) -> Response {
-    let model = live.model().await;
-    model.map_or(StatusCode::NOT_FOUND.into_response(), |model| typed("application/octet-stream", model.spz))
+fn scene(model: Option<Served>) -> Result<Response, StatusCode> {
+    model.map(|model| typed("application/json", model.scene)).ok_or(StatusCode::NOT_FOUND)
 }
 
-/// The state of the site, again after each change.
+fn first(model: Option<Served>) -> Result<Response, StatusCode> {
+    model.and_then(|model| model.first).map(spz_file).ok_or(StatusCode::NOT_FOUND)
+}
+
+fn spz(model: Option<Served>) -> Result<Response, StatusCode> {
+    model.map(|model| spz_file(model.spz)).ok_or(StatusCode::NOT_FOUND)
+}
+
+/// The state of the site, and then what changes of it.
 async fn events(State(live): State<Live>) -> Response {
     let Ok(permit) = live.readers.clone().try_acquire_owned() else {
         return (StatusCode::SERVICE_UNAVAILABLE, "too many readers of events\n").into_response();
     };
-    let keep_alive = KeepAlive::new().interval(ALIVE_EVERY);
+    let alive = Event::default().event("alive").data("");
+    let keep_alive = KeepAlive::new().interval(ALIVE_EVERY).event(alive);
     Sse::new(states(live.board, permit)).keep_alive(keep_alive).into_response()
 }
 
@@ -147,21 +161,26 @@ async fn events(State(live): State<Live>) -> Response {
 struct Reader {
     board: Board,
     changes: watch::Receiver<u64>,
-    is_first: bool,
+    /// The newest change that it has been told; 0 before the first event.
+    seen: u64,
     /// Its place among the readers.
     _permit: OwnedSemaphorePermit,
 }
 
+/// The events of a reader. The next one is made once the connection has taken the one before, so it sums up all that a slow
+/// reader has missed.
 fn states(board: Board, permit: OwnedSemaphorePermit) -> impl Stream<Item = Result<Event, Infallible>> {
     let changes = board.changes();
-    let reader = Reader { board, changes, is_first: true, _permit: permit };
+    let reader = Reader { board, changes, seen: 0, _permit: permit };
     unfold(reader, |mut reader| async {
-        if !std::mem::take(&mut reader.is_first) {
+        if reader.seen > 0 {
             sleep(EVENT_EVERY).await;
             reader.changes.changed().await.ok()?;
         }
         reader.changes.mark_unchanged();
-        let text = serde_json::to_string(&reader.board.state()).ok()?;
+        let (state, seen) = reader.board.state_since(reader.seen);
+        reader.seen = seen;
+        let text = serde_json::to_string(&state).ok()?;
         Some((Ok(Event::default().event("state").data(text)), reader))
     })
 }
@@ -173,13 +192,19 @@ struct ForgetRequest {
     device: String,
 }
 
-async fn forget(State(live): State<Live>, request: Request) -> Response {
-    let Ok(body) = to_bytes(request.into_body(), BODY_BYTES_MAX).await else {
-        return StatusCode::PAYLOAD_TOO_LARGE.into_response();
-    };
+async fn forget(State(live): State<Live>, Extension(by): Extension<Peer>, request: Request) -> Response {
+    let Some(body) = body_of(request).await else { return StatusCode::PAYLOAD_TOO_LARGE.into_response() };
     let asked = serde_json::from_slice::<ForgetRequest>(&body).ok();
     match asked.and_then(|asked| DeviceId::new(&asked.device).ok()) {
-        Some(device) => live.withdraw(&device),
+        Some(device) => live.act(Action::Forget(device), by.0).await,
         None => (StatusCode::BAD_REQUEST, "send {\"device\": \"NAME\"}\n").into_response(),
     }
+}
+
+async fn merge(State(live): State<Live>, Extension(by): Extension<Peer>) -> Response {
+    live.act(Action::Merge, by.0).await
+}
+
+async fn body_of(request: Request) -> Option<Bytes> {
+    to_bytes(request.into_body(), BODY_BYTES_MAX).await.ok()
 }

@@ -4,7 +4,7 @@ use std::fmt::Write;
 
 use cosurf_contract::AgentStatus;
 
-use super::board::{DeviceState, State};
+use super::state::{DeviceState, State};
 
 /// The content type of the text.
 pub(super) const CONTENT_TYPE: &str = "application/openmetrics-text; version=1.0.0; charset=utf-8";

@@ -11,11 +11,21 @@ use crate::viewer;
 
 /// Styles of a page that only shows a model.
 const MODEL_STYLE: &str = "html,body{margin:0;height:100%;background:#000;font:16px/1.5 system-ui,sans-serif}\
-                           .viewer{height:100vh;height:100dvh;border-radius:0}";
+                           .viewer{height:100vh;height:100dvh;border-radius:0}\
+                           h1{position:absolute;margin:0;clip-path:inset(50%)}";
+
+/// The files of the live page's script, in an order in which each one uses only those before it.
+const LIVE_SCRIPTS: [&str; 3] =
+    [include_str!("live/rows.js"), include_str!("live/map.js"), include_str!("live/live.js")];
 
 /// The page of a model.
 pub(super) fn model_page(title: &str) -> String {
-    let body = format!("<body><main>{}</main><script src=\"/viewer.js\"></script></body>", viewer::SECTION);
+    // The heading is for screen readers: the model takes the whole page.
+    let body = format!(
+        "<body><main><h1>{}</h1>{}</main><script src=\"/viewer.js\"></script></body>",
+        escape(title),
+        viewer::SECTION
+    );
     page(title, "model", &body)
 }
 
@@ -54,13 +64,23 @@ pub(super) fn files() -> Router {
     Router::new()
         .route("/viewer.js", file(js, viewer::script()))
         .route("/model.css", file(css, format!("{}{MODEL_STYLE}", viewer::STYLE)))
-        .route("/live.js", file(js, include_str!("live.js").to_owned()))
+        .route("/live.js", file(js, live_script()))
         .route("/live.css", file(css, format!("{}{}", include_str!("live.css"), viewer::STYLE)))
+}
+
+/// The script of the live page, with the viewer's geometry.
+fn live_script() -> String {
+    format!("'use strict';\n(() => {{\n{}{}}})();\n", viewer::GEOMETRY.concat(), LIVE_SCRIPTS.concat())
 }
 
 /// An answer with a page.
 pub(super) fn html(text: String) -> Response {
     typed("text/html; charset=utf-8", text)
+}
+
+/// An answer with splats.
+pub(super) fn spz_file(spz: Bytes) -> Response {
+    typed("application/octet-stream", spz)
 }
 
 /// An answer of this type.

@@ -3,7 +3,6 @@
 
 use std::io::{Read, Write};
 use std::net::{SocketAddr, TcpStream};
-use std::path::Path;
 use std::sync::{Arc, Mutex};
 use std::time::{Duration, Instant};
 
@@ -33,20 +32,22 @@ struct Site {
     server: Server,
     token: Token,
     board: Board,
-    forgotten: Arc<Mutex<Vec<DeviceId>>>,
+    done: Arc<Mutex<Vec<Action>>>,
+    folder: tempfile::TempDir,
 }
 
 impl Site {
     fn start(address: &str) -> Self {
-        let (token, board) = (Token::random().unwrap(), Board::new(Path::new("no such folder")));
-        let forgotten = Arc::new(Mutex::new(Vec::new()));
-        let list = forgotten.clone();
-        let forget: Forget = Arc::new(move |device| {
-            list.lock().unwrap().push(*device);
+        let folder = tempfile::tempdir().unwrap();
+        let (token, board) = (Token::random().unwrap(), Board::new(folder.path()));
+        let done = Arc::new(Mutex::new(Vec::new()));
+        let list = done.clone();
+        let act: Act = Arc::new(move |action| {
+            list.lock().unwrap().push(*action);
             Ok(())
         });
-        let server = serve_site(address.parse().unwrap(), &token, board.clone(), Some(forget)).unwrap();
-        Self { server, token, board, forgotten }
+        let server = serve_site(address.parse().unwrap(), &token, board.clone(), Some(act)).unwrap();
+        Self { server, token, board, done, folder }
     }
 
     fn address(&self) -> SocketAddr {
@@ -57,9 +58,9 @@ impl Site {
         ask(self.address(), &format!("GET {path}"), &["Host: localhost"], "")
     }
 
-    fn forget(&self, headers: &[&str], body: &str) -> u16 {
+    fn post(&self, path: &str, headers: &[&str], body: &str) -> u16 {
         let headers: Vec<&str> = ["Host: localhost"].iter().chain(headers).copied().collect();
-        status(&ask(self.address(), "POST /api/forget", &headers, body))
+        status(&ask(self.address(), &format!("POST {path}"), &headers, body))
     }
 }
 
@@ -68,16 +69,28 @@ fn only_the_operator_acts_and_every_action_is_logged() {
     let site = Site::start("127.0.0.1:0");
     let body = r#"{"device": "drone-1"}"#;
     let bearer = format!("Authorization: Bearer {}", site.token.as_str());
-    assert_eq!(site.forget(&[], body), 401);
-    assert_eq!(site.forget(&["Authorization: Bearer 0123456789abcdef"], body), 401);
-    assert_eq!(site.forget(&[&bearer, "Origin: http://evil.example"], body), 403);
-    assert_eq!(site.forget(&[&bearer], r#"{"device": "<b>"}"#), 400);
+    assert_eq!(site.post("/api/forget", &[], body), 401);
+    assert_eq!(site.post("/api/forget", &["Authorization: Bearer 0123456789abcdef"], body), 401);
+    assert_eq!(site.post("/api/forget", &[&bearer, "Origin: http://evil.example"], body), 403);
+    assert_eq!(site.post("/api/forget", &[&bearer], r#"{"device": "<b>"}"#), 400);
     // The answer may be lost, because the server closes the connection before it has read everything.
-    assert_ne!(site.forget(&[&bearer], &"x".repeat(100_000)), 204);
-    assert!(site.forgotten.lock().unwrap().is_empty());
-    assert_eq!(site.forget(&[&bearer], body), 204);
-    assert_eq!(*site.forgotten.lock().unwrap(), [DeviceId::new("drone-1").unwrap()]);
-    assert!(site.get("/api/state").contains("the operator forgets drone-1: done"));
+    assert_ne!(site.post("/api/forget", &[&bearer], &"x".repeat(100_000)), 204);
+    assert_eq!(site.post("/api/merge", &[], ""), 401);
+    assert!(site.done.lock().unwrap().is_empty());
+    assert_eq!(site.post("/api/forget", &[&bearer], body), 204);
+    assert_eq!(site.post("/api/merge", &[&bearer], ""), 204);
+    let forget = Action::Forget(DeviceId::new("drone-1").unwrap());
+    assert_eq!(*site.done.lock().unwrap(), [forget, Action::Merge]);
+    assert!(site.get("/api/state").contains("the operator at 127.0.0.1 asks to forget drone-1: done"));
+    let record = std::fs::read_to_string(site.folder.path().join("actions.jsonl")).unwrap();
+    for part in [
+        "\"by\":\"127.0.0.1\"",
+        "\"action\":\"forget drone-1\"",
+        "\"action\":\"merge now\"",
+        "\"outcome\":\"done\"",
+    ] {
+        assert!(record.contains(part), "{part}: {record}");
+    }
 }
 
 #[test]
@@ -141,7 +154,7 @@ fn texts_of_devices_reach_a_page_only_as_json() {
     assert!(!site.get("/").contains("alert(1)") && !site.get("/metrics").contains("alert(1)"));
     let state = site.get("/api/state");
     assert!(state.contains("content-type: application/json") && state.contains("alert(1)"), "{state}");
-    assert!(!include_str!("live.js").contains("innerHTML"));
+    assert!(!site.get("/live.js").contains("innerHTML"));
 }
 
 #[test]

@@ -53,7 +53,7 @@ class Drawing {
   constructor(canvas, model) {
     const gl = canvas.getContext('webgl2', { antialias: false, alpha: false, preserveDrawingBuffer: true });
     if (!gl) throw new Error('This browser has no WebGL 2, which the model needs; open the page in a current browser.');
-    [this.gl, this.canvas, this.degree] = [gl, canvas, model.degree];
+    [this.gl, this.canvas] = [gl, canvas];
     // Eight bits lose faint splats, and sixteen lose centimetres of depth. Not every browser blends 32 bits.
     this.isFloat = Boolean(gl.getExtension('EXT_color_buffer_float'));
     this.isFull = this.isFloat && Boolean(gl.getExtension('EXT_float_blend'));
@@ -62,10 +62,17 @@ class Drawing {
       geometry: programOf(gl, SPLAT_VERTEX, SPLAT_FRAGMENT(true)),
       screen: programOf(gl, SCREEN_VERTEX, SCREEN_FRAGMENT),
     };
+    [this.targets, this.textures] = [{}, []];
+    this.takeModel(model);
+  }
+
+  /** Draws this model from now on. */
+  takeModel(model) {
+    this.sorter?.end();
     this.sorter = new Sorter(model.positions, model.radii);
+    this.textures.splice(0).forEach((texture) => this.gl.deleteTexture(texture));
+    [this.degree, this.count, this.range] = [model.degree, 0, [1, 2]];
     this.upload(model);
-    this.targets = {};
-    [this.count, this.range] = [0, [1, 2]];
   }
 
   /** Puts the model into textures. */
@@ -75,7 +82,8 @@ class Drawing {
     if (rows > gl.getParameter(gl.MAX_TEXTURE_SIZE)) throw new Error(`The model has ${count} splats, too many for this graphics card.`);
     const texture = (unit, width, texels) => {
       gl.activeTexture(gl.TEXTURE0 + unit);
-      gl.bindTexture(gl.TEXTURE_2D, gl.createTexture());
+      this.textures.push(gl.createTexture());
+      gl.bindTexture(gl.TEXTURE_2D, this.textures.at(-1));
       gl.texParameteri(gl.TEXTURE_2D, gl.TEXTURE_MIN_FILTER, gl.NEAREST);
       gl.texParameteri(gl.TEXTURE_2D, gl.TEXTURE_MAG_FILTER, gl.NEAREST);
       gl.texImage2D(gl.TEXTURE_2D, 0, gl.RGBA32UI, width, texels ? rows : 1, 0, gl.RGBA_INTEGER, gl.UNSIGNED_INT, texels);
@@ -127,24 +135,33 @@ class Drawing {
   }
 
   /** The depth of the surface at a point of the picture, px, along the optical axis; null where there is none. */
-  depthAt(camera, [x, y]) {
+  depthAt(camera, at) {
+    return this.depthsFrom(camera, at, 1)[0];
+  }
+
+  /** The same at this number of pixels in a row, from a point of the picture to the right. */
+  depthsFrom(camera, [x, y], count) {
     const gl = this.gl;
-    const at = [Math.floor(x), camera.size_px[1] - 1 - Math.floor(y)];
+    const area = [Math.floor(x), camera.size_px[1] - 1 - Math.floor(y), count, 1];
     gl.enable(gl.SCISSOR_TEST);
-    gl.scissor(at[0], at[1], 1, 1);
+    gl.scissor(...area);
     this.blend(camera, true);
     gl.disable(gl.SCISSOR_TEST);
     const [first, second] = [0, 1].map((i) => {
-      const [floats, bytes] = [new Float32Array(4), new Uint8Array(4)];
+      const [floats, bytes] = [new Float32Array(4 * count), new Uint8Array(4 * count)];
       gl.readBuffer(gl.COLOR_ATTACHMENT0 + i);
-      if (this.isFloat) gl.readPixels(at[0], at[1], 1, 1, gl.RGBA, gl.FLOAT, floats);
-      else gl.readPixels(at[0], at[1], 1, 1, gl.RGBA, gl.UNSIGNED_BYTE, bytes);
+      if (this.isFloat) gl.readPixels(...area, gl.RGBA, gl.FLOAT, floats);
+      else gl.readPixels(...area, gl.RGBA, gl.UNSIGNED_BYTE, bytes);
       return floats;
     });
     gl.readBuffer(gl.COLOR_ATTACHMENT0);
-    const ray = [0, 1].map((a) => ([x, y][a] - camera.center_px[a]) / camera.focal_px[a]);
-    const facing = -(first[0] * ray[0] + first[1] * ray[1] + first[2]);
-    return first[3] < 0.5 || facing < 0.01 * first[3] ? null : second[0] / facing;
+    const depth = (i) => {
+      const ray = [x + i, y].map((v, a) => (v - camera.center_px[a]) / camera.focal_px[a]);
+      const [a, b, c, alpha] = first.subarray(4 * i, 4 * i + 4);
+      const facing = -(a * ray[0] + b * ray[1] + c);
+      return alpha < 0.5 || facing < 0.01 * alpha ? null : second[4 * i] / facing;
+    };
+    return Array.from({ length: count }, (_, i) => depth(i));
   }
 
   /** Blends the splats into the textures of the camera's size. */

@@ -68,7 +68,7 @@ impl Lie {
 }
 
 /// The axis that points up, as cameras tell: photographs have the sky above, or look down. Without cameras it is z.
-fn up_of(cameras: &[Camera]) -> DVec3 {
+pub(crate) fn up_of(cameras: &[Camera]) -> DVec3 {
     let score = |axis: DVec3| {
         let of_one = |camera: &Camera| {
             let to_world = camera.cam_from_world.rotation.inverse();
@@ -82,7 +82,7 @@ fn up_of(cameras: &[Camera]) -> DVec3 {
 }
 
 /// Two axes of the ground: with z up, x and y.
-fn ground_axes(up: DVec3) -> (DVec3, DVec3) {
+pub(crate) fn ground_axes(up: DVec3) -> (DVec3, DVec3) {
     let north = if up.y.abs() > 0.5 { DVec3::Z * -up.y } else { DVec3::Y };
     (north.cross(up), north)
 }

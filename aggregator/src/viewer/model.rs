@@ -3,65 +3,18 @@
 
 use std::path::{Path, PathBuf};
 
-use cosurf_geo::{GeoError, Geodetic, Georeference};
-use cosurf_link::plain_importance;
-use cosurf_scene::{Camera, Dataset, LocalFrame, SceneError, Splats, evenly_spaced, model, ply, spz};
+use cosurf_geo::{Geodetic, Georeference};
+use cosurf_link::{ModelKey, ModelStore, body_to_model, scene_frame};
+use cosurf_scene::{Camera, Dataset, LocalFrame, Splats, evenly_spaced, ply};
 use glam::DMat3;
 use serde::Serialize;
 
+use super::error::WalkableError;
 use super::lie::Lie;
+use super::room::{Room, encode, first_of, read};
 
-/// Number of splats that are read at a time.
-const READ_AT_ONCE: usize = 4096;
 /// Largest number of photographs whose places the viewer offers.
 const CAMERAS_MAX: usize = 500;
-/// Share of the splats that is kept beyond what the last file's size asks for: other splats compress a little worse.
-const CAUTION: f64 = 0.97;
-
-/// How large a model for the viewer may become.
-#[derive(Clone, Copy, Debug)]
-pub struct Room {
-    /// Limit on the splats in memory and on what is made of them, bytes; `None` for no limit.
-    pub memory_bytes: Option<u64>,
-    /// Limit on the SPZ, bytes; `None` for no limit.
-    pub file_bytes: Option<usize>,
-}
-
-impl Room {
-    /// No limits.
-    pub const UNLIMITED: Self = Self { memory_bytes: None, file_bytes: None };
-
-    /// Largest number of splats in memory, together with their SPZ before and after its compression, and its text in a page.
-    fn splats_max(&self, sh_degree: u32) -> usize {
-        let body = spz::body_bytes(sh_degree);
-        let each = Splats::bytes_per_splat(sh_degree) + body + 4 * body / 3;
-        self.memory_bytes.map_or(usize::MAX, |bytes| (bytes / each as u64) as usize)
-    }
-}
-
-/// Why there is no model for the viewer.
-#[derive(Debug, thiserror::Error)]
-#[non_exhaustive]
-pub enum WalkableError {
-    /// The model or its cameras cannot be read.
-    #[error(transparent)]
-    Scene(#[from] SceneError),
-    /// The georeference cannot be read.
-    #[error(transparent)]
-    Geo(#[from] GeoError),
-    /// The model has no splats, or no splat fits into the memory.
-    #[error("{}: no splats to show", path.display())]
-    Nothing {
-        /// The file.
-        path: PathBuf,
-    },
-    /// SPZ, the viewer's format, cannot hold the positions.
-    #[error("{}: coordinates beyond 8,388,607 cannot be shown; move the model nearer to its origin", path.display())]
-    TooFar {
-        /// The file.
-        path: PathBuf,
-    },
-}
 
 /// What the viewer is told beside the splats; the content of `scene.json`.
 #[derive(Clone, Debug, PartialEq, Serialize)]
@@ -80,6 +33,8 @@ struct Scene {
     cameras: Vec<SceneCamera>,
     /// Number of splats in the file.
     splats: usize,
+    /// Number of splats in the first part; 0 if there is none.
+    first_splats: usize,
     /// Number of splats of the whole model.
     of_splats: usize,
 }
@@ -109,11 +64,26 @@ impl SceneCamera {
     }
 }
 
+/// What a model for the viewer is made of.
+struct Source {
+    name: String,
+    /// The file or folder, for errors.
+    path: PathBuf,
+    /// The splats in `frame`: all, or the most important ones.
+    splats: Splats,
+    of_splats: usize,
+    frame: LocalFrame,
+    world_cameras: Vec<Camera>,
+    geo: Option<Geodetic>,
+}
+
 /// A model for the viewer.
 #[derive(Clone, Debug)]
 pub struct Walkable {
     scene: Scene,
     spz: Vec<u8>,
+    /// The first part as SPZ, if there is one.
+    first: Option<Vec<u8>>,
     frame: LocalFrame,
     lie: Lie,
 }
@@ -130,24 +100,59 @@ impl Walkable {
         };
         let geo = Georeference::of_folder(beside)?.map(|georeference| georeference.origin);
         let (splats, of_splats, frame) = read(&path, &world_cameras, room)?;
+        let name = model.file_name().map_or_else(String::new, |name| name.to_string_lossy().into_owned());
+        Self::of(Source { name, path, splats, of_splats, frame, world_cameras, geo }, room)
+    }
+
+    /// Reads a stored revision of a service's global model. `folder` is that of the service. A revision that takes more than
+    /// the memory is not shown.
+    pub(crate) fn stored(
+        store: &Path,
+        key: ModelKey,
+        folder: &Path,
+        room: Room,
+    ) -> Result<Self, WalkableError> {
+        let models = ModelStore::beside(store);
+        let header = models.header(key)?;
+        let (of_splats, path) = (header.splats as usize, store.to_owned());
+        if of_splats > room.splats_max(header.sh_degree.into()) {
+            return Err(WalkableError::TooLarge { path, splats: of_splats });
+        }
+        let (_, body) = models.get(key)?;
+        let broken = |fault| WalkableError::Body { path: path.clone(), fault };
+        let frame = scene_frame(&body).map_err(broken)?;
+        let model = body_to_model(&body, &frame).map_err(broken)?;
+        drop(body);
+        let world_cameras = model.cameras.iter().map(|camera| frame.world_camera(camera)).collect();
+        let geo = Georeference::of_folder(folder)?.map(|georeference| georeference.origin);
+        let name = format!("revision {}", key.model);
+        Self::of(Source { name, path, splats: model.splats, of_splats, frame, world_cameras, geo }, room)
+    }
+
+    fn of(source: Source, room: Room) -> Result<Self, WalkableError> {
+        let Source { name, path, splats, of_splats, frame, world_cameras, geo } = source;
         if splats.is_empty() {
             return Err(WalkableError::Nothing { path });
         }
         let cameras = evenly_spaced(&world_cameras, CAMERAS_MAX);
         let cameras: Vec<Camera> = cameras.iter().map(|camera| frame.local_camera(camera)).collect();
         let lie = Lie::of(&splats, &cameras, geo.is_some());
-        let spz = encode(splats, room.file_bytes, &path)?;
+        let first = room.first_splats.and_then(|most| first_of(&splats, most));
+        let first = first.map(|splats| encode(splats, None, &path)).transpose()?;
+        let (first, first_splats) = first.map_or((None, 0), |(spz, splats)| (Some(spz), splats));
+        let (spz, splats) = encode(splats, room.file_bytes, &path)?;
         let scene = Scene {
-            name: model.file_name().map_or_else(String::new, |name| name.to_string_lossy().into_owned()),
+            name,
             origin: frame.origin().to_array(),
             unit: frame.unit(),
             up: lie.up.to_array(),
             geo,
             cameras: cameras.iter().map(SceneCamera::of).collect(),
-            splats: spz.splats,
+            splats,
+            first_splats,
             of_splats,
         };
-        Ok(Self { scene, spz: spz.bytes, frame, lie })
+        Ok(Self { scene, spz, first, frame, lie })
     }
 
     /// The scene as JSON.
@@ -158,6 +163,11 @@ impl Walkable {
     /// The splats as an SPZ file.
     pub(crate) fn spz(&self) -> &[u8] {
         &self.spz
+    }
+
+    /// The most important splats as an SPZ file, if there are many more.
+    pub(crate) fn first(&self) -> Option<&[u8]> {
+        self.first.as_deref()
     }
 
     /// The splats as an SPZ file.
@@ -197,65 +207,12 @@ impl Walkable {
     }
 }
 
-/// The splats of a file, or its most important ones if the memory is small; the number of all; and their frame.
-fn read(path: &Path, cameras: &[Camera], room: Room) -> Result<(Splats, usize, LocalFrame), WalkableError> {
-    let frame = match cameras {
-        [] => LocalFrame::at(model::origin(path)?),
-        cameras => LocalFrame::of(cameras.iter()),
-    };
-    let (count, sh_degree) = model::size(path)?;
-    let most = room.splats_max(sh_degree);
-    if count <= most {
-        return Ok((model::read(path, &frame)?, count, frame));
-    }
-    let mut importances = Vec::with_capacity(count);
-    model::read_parts(path, &frame, READ_AT_ONCE, |part| importances.extend(plain_importance(part)))?;
-    let least = least_of(importances, most);
-    let mut kept = Splats::with_capacity(most, sh_degree);
-    model::read_parts(path, &frame, READ_AT_ONCE, |part| keep(part, least, most, &mut kept))?;
-    Ok((kept, count, frame))
-}
-
-/// The smallest importance of the `most` most important splats. `most` must be below the number of splats.
-fn least_of(mut importances: Vec<f32>, most: usize) -> f32 {
-    let at = importances.len() - most.max(1);
-    *importances.select_nth_unstable_by(at, f32::total_cmp).1
-}
-
-/// Appends the splats that are at least so important, until there are `most`.
-fn keep(from: &Splats, least: f32, most: usize, kept: &mut Splats) {
-    for (i, importance) in plain_importance(from).into_iter().enumerate() {
-        if importance >= least && kept.len() < most {
-            kept.push_from(from, i);
-        }
-    }
-}
-
-struct Encoded {
-    bytes: Vec<u8>,
-    splats: usize,
-}
-
-/// Encodes as many splats as the limit allows, the most important ones.
-fn encode(mut splats: Splats, file_bytes: Option<usize>, path: &Path) -> Result<Encoded, WalkableError> {
-    loop {
-        let bytes = spz::to_bytes(&splats).ok_or_else(|| WalkableError::TooFar { path: path.into() })?;
-        let limit = file_bytes.unwrap_or(usize::MAX);
-        if bytes.len() <= limit {
-            return Ok(Encoded { bytes, splats: splats.len() });
-        }
-        let most = ((splats.len() as f64 * limit as f64 / bytes.len() as f64 * CAUTION) as usize).max(1);
-        let least = least_of(plain_importance(&splats), most);
-        let mut kept = Splats::with_capacity(most, splats.sh_degree);
-        keep(&splats, least, most, &mut kept);
-        splats = kept;
-    }
-}
-
 #[cfg(test)]
 mod tests {
     #![allow(clippy::unwrap_used)]
-    use cosurf_scene::camera_list;
+    use cosurf_link::{FirstLayer, Offer, model_to_body};
+    use cosurf_scene::{Base, camera_list};
+    use cosurf_wire::{DeviceId, ModelId, ModelKind};
     use glam::DVec3;
 
     use super::*;
@@ -314,7 +271,7 @@ mod tests {
     fn little_memory_gets_the_most_important_splats() {
         let folder = tempfile::tempdir().unwrap();
         let path = written(folder.path());
-        let each = (1 << 20) / Room { memory_bytes: Some(1 << 20), file_bytes: None }.splats_max(0) as u64;
+        let each = (1 << 20) / Room { memory_bytes: Some(1 << 20), ..Room::UNLIMITED }.splats_max(0) as u64;
         let room = Room { memory_bytes: Some(each * model().len() as u64 / 3), ..Room::UNLIMITED };
         let small = Walkable::read(&path, room).unwrap();
         let [shown, of] = small.shown();
@@ -322,6 +279,40 @@ mod tests {
         check_western(&small, folder.path());
         let nothing = Walkable::read(&path, Room { memory_bytes: Some(0), ..room });
         assert!(matches!(nothing, Err(WalkableError::Nothing { .. })));
+    }
+
+    #[test]
+    fn a_large_model_has_a_first_part() {
+        let folder = tempfile::tempdir().unwrap();
+        let path = written(folder.path());
+        let most = model().len() / 4;
+        let room = Room { first_splats: Some(most), ..Room::UNLIMITED };
+        let whole = Walkable::read(&path, room).unwrap();
+        assert_eq!((whole.scene.first_splats, whole.scene.splats), (most, model().len()));
+        std::fs::write(folder.path().join("first.spz"), whole.first().unwrap()).unwrap();
+        assert_eq!(spz::read(&folder.path().join("first.spz")).unwrap().len(), most);
+        let few = Room { first_splats: Some(model().len() * 2 / 3), ..room };
+        assert_eq!(Walkable::read(&path, few).unwrap().first(), None);
+    }
+
+    #[test]
+    fn a_stored_revision_is_shown_in_the_world() {
+        let folder = tempfile::tempdir().unwrap();
+        let store = folder.path().join("global");
+        let (models, _) = ModelStore::open(&store).unwrap();
+        let (camera, device, number) = (above(10.0), DeviceId::new("ground").unwrap(), ModelId(4));
+        let body = model_to_body(&model(), &[camera], &LocalFrame::WORLD, FirstLayer::Base(&Base::default()))
+            .unwrap();
+        let offer = Offer::from_body(device, number, ModelKind::Global, 1, body).unwrap();
+        models.put(&offer.header, &offer.body).unwrap();
+        let key = ModelKey { device, model: number };
+        let shown = Walkable::stored(&store, key, folder.path(), Room::UNLIMITED).unwrap();
+        assert_eq!((shown.shown(), shown.name()), ([model().len(); 2], "revision 4"));
+        let eye = shown.frame.world_camera(&shown.frame.local_camera(&camera)).cam_from_world.center();
+        assert!((eye - camera.cam_from_world.center()).length() < 1e-6);
+        let small = Room { memory_bytes: Some(1000), ..Room::UNLIMITED };
+        let refused = Walkable::stored(&store, key, folder.path(), small).unwrap_err();
+        assert!(refused.to_string().contains("too much memory"), "{refused}");
     }
 
     /// The shown splats must be the most important ones, which lie in the west.

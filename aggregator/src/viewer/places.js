@@ -2,7 +2,7 @@
 //
 // Start reading at describePoint. The formulas are those of shared/geo/src/ellipsoid.rs and site.rs.
 
-/* exported describePoint, describeLine */
+/* exported describePoint, describeLine, describeArea, describeProfile, heightOf */
 
 /** Semi-major axis, metres, and squared eccentricity of WGS 84. */
 const WGS84_AXIS_M = 6378137;
@@ -59,4 +59,30 @@ function describeLine(points, up, scene) {
   const straight = Math.hypot(...whole);
   const level = Math.sqrt(Math.max(0, straight ** 2 - rise ** 2));
   return `distance ${length.toFixed(2)}${unit}, level ${level.toFixed(2)}${unit}, height difference ${rise.toFixed(2)}${unit}`;
+}
+
+/** One line on the polygon with these corners: its area on the map (shoelace formula), and its perimeter on the map. */
+function describeArea(points, walk, scene) {
+  const unit = scene.geo ? ' m' : ' world units';
+  if (points.length < 3) return 'Tap at least three corners.';
+  const flat = points.map((point) => [walk.east, walk.north].map((axis) => dot(point, axis) * scene.unit));
+  const pairs = flat.map((corner, i) => [corner, flat[(i + 1) % flat.length]]);
+  const area = Math.abs(pairs.reduce((sum, [a, b]) => sum + a[0] * b[1] - a[1] * b[0], 0)) / 2;
+  const perimeter = pairs.reduce((sum, [a, b]) => sum + Math.hypot(b[0] - a[0], b[1] - a[1]), 0);
+  const square = scene.geo ? ' m²' : ' square world units';
+  return `area on the map ${area.toFixed(2)}${square}, perimeter ${perimeter.toFixed(2)}${unit}`;
+}
+
+/** The height of a point of the model in the world. */
+function heightOf(point, up, scene) {
+  return dot(add(scene.origin, point, scene.unit), up);
+}
+
+/** One line on heights along a line; null where there is no surface. */
+function describeProfile(heights, length, scene) {
+  const known = heights.filter((height) => height !== null);
+  const unit = scene.geo ? ' m' : ' world units';
+  if (!known.length) return 'There is no surface along this line.';
+  const [low, high] = [Math.min(...known), Math.max(...known)];
+  return `profile over ${length.toFixed(2)}${unit}: heights ${low.toFixed(2)} to ${high.toFixed(2)}${unit}`;
 }

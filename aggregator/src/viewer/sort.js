@@ -74,6 +74,14 @@ class Sorter {
     [this.asked, this.waiting] = [null, null];
   }
 
+  /** Ends the worker. Questions that are not answered yet are answered as if a newer one had taken their place. */
+  end() {
+    this.worker.terminate();
+    this.asked?.resolve(null);
+    this.waiting?.resolve(null);
+    [this.asked, this.waiting] = [null, null];
+  }
+
   /** Resolves to `{order, range}`: splats from back to front, and depths that most of them lie between; null if a newer
    * question took the place of this one. */
   sort(camera) {

@@ -4,21 +4,36 @@
 // scene are either elements of the page (a report, which is one file) or fetched from beside the page. The scene is
 // `Scene` of aggregator/src/viewer/model.rs.
 
-/* global decodeSpz, bytesOfBase64, Drawing, Walk, listen, project, unproject, describePoint, describeLine */
+/* global decodeSpz, bytesOfBase64, Drawing, Walk, Comparison, listen, project, unproject, heightsAlong, chartOf */
+/* global describePoint, describeLine, describeArea, describeProfile */
 
 /** A frame that takes longer, ms, makes the picture of a moving camera coarser. */
 const SLOW_MS = 60;
 /** The picture becomes fine again after the camera has rested for this long, ms. */
 const REST_MS = 200;
 
-/** The model's bytes and the scene, from the page or from beside it. */
-async function loadModel() {
+/** What taps measure, with what the viewer says at first. */
+const MEASURES = {
+  measure: 'Tap points to measure the distance along them.',
+  area: 'Tap the corners of an area.',
+  profile: 'Tap two points to see the heights between them.',
+};
+
+/** A part of the page, or a file beside it. */
+async function fetched(name) {
+  const answer = await fetch(name);
+  if (!answer.ok) throw new Error('The model could not be loaded; reload the page.');
+  return answer;
+}
+
+/** The scene, and the files of the model: what to show until there is more, and the whole. */
+async function loadScene() {
   const scene = document.getElementById('viewer-scene');
   const model = document.getElementById('viewer-model');
-  if (scene && model) return [JSON.parse(scene.textContent), bytesOfBase64(model.textContent)];
-  const [described, file] = await Promise.all(['scene.json', 'model.spz'].map((name) => fetch(name)));
-  if (!described.ok || !file.ok) throw new Error('The model could not be loaded; reload the page.');
-  return [await described.json(), new Uint8Array(await file.arrayBuffer())];
+  if (scene && model) return [JSON.parse(scene.textContent), [async () => bytesOfBase64(model.textContent)]];
+  const described = await (await fetched('scene.json')).json();
+  const file = (name) => async () => new Uint8Array(await (await fetched(name)).arrayBuffer());
+  return [described, (described.first_splats ? ['first.spz', 'model.spz'] : ['model.spz']).map(file)];
 }
 
 class Viewer {
@@ -27,15 +42,25 @@ class Viewer {
     this.canvas = section.querySelector('canvas');
     this.told = section.querySelector('.told');
     this.marks = section.querySelector('.marks');
+    this.chart = section.querySelector('.chart');
     this.drawing = new Drawing(this.canvas, model);
     this.walk = new Walk(model.positions, scene.up);
-    Object.assign(this, { layer: 0, points: [], isMeasuring: false, photograph: -1, coarseness: 1, lastFrame: 0, isAsked: false });
+    Object.assign(this, { layer: 0, points: [], measuring: null, photograph: -1, coarseness: 1, lastFrame: 0, isAsked: false });
+    this.comparison = null;
     listen(this.canvas, this);
     section.querySelector('.bar').addEventListener('click', ({ target }) => {
       if (target.dataset.does) this.does(target.dataset.does, Number(target.dataset.value));
     });
-    if (!scene.cameras.length) section.querySelector('[data-does="photograph"]').hidden = true;
+    section.querySelector('[data-does="photograph"]').hidden = !scene.cameras.length;
+    // Only the page of a running site has revisions.
+    section.querySelector('[data-does="compare"]').hidden = !(Number(document.body.dataset.revision) > 1);
     new ResizeObserver(() => this.changed()).observe(this.canvas);
+  }
+
+  /** Shows another model in place of the one before, with the same camera. */
+  takeModel(model) {
+    this.drawing.takeModel(model);
+    this.changed();
   }
 
   /** The camera of the page, for a canvas of its size. */
@@ -75,10 +100,12 @@ class Viewer {
 
   show(camera) {
     this.drawing.draw(camera, this.layer);
+    this.comparison?.show(camera, this.layer);
     const scale = this.canvas.clientWidth / camera.size_px[0];
     const places = this.points.map((point) => project(camera, point)).filter(([, , depth]) => depth > 0);
     const line = places.map(([x, y]) => `${(x * scale).toFixed(1)},${(y * scale).toFixed(1)}`);
-    this.marks.querySelector('polyline').setAttribute('points', line.join(' '));
+    const isClosed = this.measuring === 'area' && line.length > 2;
+    this.marks.querySelector('polyline').setAttribute('points', (isClosed ? [...line, line[0]] : line).join(' '));
     this.marks.querySelectorAll('circle').forEach((mark) => mark.remove());
     for (const at of line) {
       const mark = document.createElementNS('http://www.w3.org/2000/svg', 'circle');
@@ -96,11 +123,39 @@ class Viewer {
     const depth = this.drawing.depthAt(camera, place);
     if (depth === null) return this.tell('There is no surface at this point.');
     const point = unproject(camera, place, depth);
-    this.points = this.isMeasuring ? [...this.points, point] : [point];
-    const isLine = this.points.length > 1;
-    this.tell(isLine ? describeLine(this.points, this.walk.up, this.scene) : describePoint(point, this.scene));
+    const isFull = this.measuring === 'profile' && this.points.length > 1;
+    this.points = this.measuring && !isFull ? [...this.points, point] : [point];
+    await this.describe();
     this.changed();
     return point;
+  }
+
+  /** Tells what the picked points measure. */
+  async describe() {
+    const { points, measuring, walk, scene } = this;
+    this.chart.replaceChildren();
+    if (points.length < 2) return this.tell(describePoint(points[0], scene));
+    if (measuring === 'area') return this.tell(describeArea(points, walk, scene));
+    if (measuring !== 'profile') return this.tell(describeLine(points, walk.up, scene));
+    const { heights, length } = await heightsAlong(this.drawing, walk, scene, points);
+    const text = describeProfile(heights, length, scene);
+    this.tell(text);
+    if (heights.some((height) => height !== null)) this.chart.replaceChildren(chartOf(heights, length, text));
+  }
+
+  /** Shows the revision before beside this one, or no longer. */
+  async compare() {
+    try {
+      if (this.comparison) return this.comparison.toggle(!this.comparison.isShown);
+      this.tell('The revision before is loading …');
+      this.comparison = await Comparison.load(this.section, this.scene);
+      this.tell(`Left of the border is ${this.comparison.scene.name}, right of it the newest one.`);
+    } catch (error) {
+      this.tell(error.message);
+    } finally {
+      this.press();
+      this.changed();
+    }
   }
 
   /** Does what a button or key asks for. */
@@ -109,8 +164,12 @@ class Viewer {
     if (name === 'layer') this.layer = value;
     if (name === 'walk') walk.isWalking = !walk.isWalking;
     if (name === 'reset') walk.reset();
-    if (name === 'measure') [this.isMeasuring, this.points] = [!this.isMeasuring, []];
-    if (name === 'clear') this.points = [];
+    if (name in MEASURES || name === 'clear') {
+      [this.measuring, this.points] = [name === 'clear' || this.measuring === name ? null : name, []];
+      this.chart.replaceChildren();
+      this.tell(MEASURES[this.measuring] ?? 'The measurement has ended.');
+    }
+    if (name === 'compare' && !this.section.querySelector('[data-does="compare"]').hidden) this.compare();
     if (name === 'full') document.fullscreenElement ? document.exitFullscreen() : this.section.requestFullscreen?.();
     if ((name === 'photograph' || name === 'before') && scene.cameras.length) {
       const count = scene.cameras.length;
@@ -118,7 +177,6 @@ class Viewer {
       walk.takePlace(scene.cameras[this.photograph]);
       this.tell(`The view of photograph ${this.photograph + 1} of ${count}.`);
     }
-    if (name === 'measure') this.tell(this.isMeasuring ? 'Tap points to measure the distance along them.' : 'The measurement has ended.');
     if (name === 'save') this.save();
     this.press();
     this.changed();
@@ -126,10 +184,10 @@ class Viewer {
 
   /** Shows which buttons are pressed. */
   press() {
-    const pressed = { walk: this.walk.isWalking, measure: this.isMeasuring };
+    const pressed = { walk: this.walk.isWalking, compare: Boolean(this.comparison?.isShown) };
     for (const button of this.section.querySelectorAll('[aria-pressed]')) {
       const { does, value } = button.dataset;
-      button.setAttribute('aria-pressed', does === 'layer' ? Number(value) === this.layer : pressed[does]);
+      button.setAttribute('aria-pressed', does === 'layer' ? Number(value) === this.layer : pressed[does] ?? does === this.measuring);
     }
   }
 
@@ -156,16 +214,18 @@ async function startViewer() {
   const section = document.querySelector('.viewer');
   const wait = section.querySelector('.wait');
   try {
-    const [scene, file] = await loadModel();
-    const viewer = new Viewer(section, scene, await decodeSpz(file));
+    const [scene, [first, ...rest]] = await loadScene();
+    const viewer = new Viewer(section, scene, await decodeSpz(await first()));
     viewer.changed();
     wait.remove();
-    if (scene.splats < scene.of_splats) {
-      viewer.tell(`To keep this page small, it shows ${scene.splats} of ${scene.of_splats} splats, the most important ones.`);
-    }
+    if (rest.length) viewer.tell(`The ${scene.first_splats} most important splats; the rest is loading …`);
+    for (const file of rest) viewer.takeModel(await decodeSpz(await file()));
+    const isPart = scene.splats < scene.of_splats;
+    if (rest.length || isPart) viewer.tell(isPart ? `To keep this page small, it shows ${scene.splats} of ${scene.of_splats} splats, the most important ones.` : `${scene.splats} splats.`);
     return viewer;
   } catch (error) {
-    wait.textContent = error.message;
+    // The first part is shown already if only the rest could not be loaded.
+    (wait.isConnected ? wait : section.querySelector('.told')).textContent = error.message;
     return undefined;
   }
 }

@@ -1,0 +1,130 @@
+// The page of a running site: follows the events of the server, shows them, and asks for the operator's actions.
+//
+// Start reading at listen.
+
+/* global Rows, SiteMap, element, seconds */
+
+/** The server says every 5 s that it lives. After so long without a word, ms, the page says that it does not answer. */
+const LOST_MS = 12000;
+/** Pause before a connection that the browser has given up is made again, ms. */
+const AGAIN_MS = 2000;
+/** Largest number of lines of the log. */
+const LINES_MAX = 300;
+
+const at = (id) => document.getElementById(id);
+const rows = new Rows(at('heads'), at('devices'));
+const siteMap = new SiteMap(at('map'), at('place'));
+/** The devices by name. */
+const devices = new Map();
+const shownRevision = Number(document.body.dataset.revision) || null;
+let heardAt = Date.now();
+let mapOf = '';
+let events;
+
+/** Opens the stream of events. A browser reconnects by itself, unless the server refuses. */
+function listen() {
+  events?.close();
+  events = new EventSource('/api/events');
+  events.addEventListener('state', ({ data }) => show(JSON.parse(data)));
+  events.addEventListener('alive', heard);
+  events.addEventListener('error', () => {
+    lose();
+    if (events.readyState === EventSource.CLOSED) setTimeout(listen, AGAIN_MS);
+  });
+}
+
+function heard() {
+  heardAt = Date.now();
+  at('lost').hidden = true;
+}
+
+function lose() {
+  at('lost').textContent = 'The aggregator does not answer. What is shown may be old; this page tries to connect again.';
+  at('lost').hidden = false;
+}
+
+/** Shows a state, or what has changed of it. */
+function show(state) {
+  heard();
+  const { revision, merge, log } = state;
+  if (state.is_whole) {
+    devices.clear();
+    at('log').replaceChildren();
+  }
+  for (const device of state.devices) {
+    const ago = device.heard_s_ago;
+    devices.set(device.device, { ...device, heardAt: ago === null ? null : Date.now() - 1000 * ago });
+  }
+  const parts = [state.is_connected ? 'connected to the broker' : 'not connected to the broker'];
+  parts.push(revision ? `revision ${revision.revision}: ${revision.splats} splats of ${revision.models} models` : 'no global model yet');
+  if (merge) parts.push(`merging, step ${merge.step} of ${merge.steps}`);
+  at('summary').textContent = parts.join(' · ');
+  rows.show(devices);
+  write(log);
+  offer(revision);
+  choose();
+  drawMap();
+}
+
+/** Adds lines to the log, which stays at its end if it was there. */
+function write(lines) {
+  const list = at('log');
+  const isAtEnd = list.scrollHeight - list.scrollTop - list.clientHeight < 20;
+  list.append(...lines.map(({ at_s, text }) => element('li', `${seconds(at_s)}: ${text}`)));
+  while (list.children.length > LINES_MAX) list.firstChild.remove();
+  if (isAtEnd) list.scrollTop = list.scrollHeight;
+}
+
+/** Offers a newer revision than the page shows; the first one is shown at once. */
+function offer(revision) {
+  if (!revision || revision.revision === shownRevision) return;
+  if (!shownRevision) return location.reload();
+  at('newer').hidden = false;
+  at('newer').textContent = `Show revision ${revision.revision}`;
+}
+
+/** Lists the devices that can be forgotten, without losing the choice. */
+function choose() {
+  const list = at('forget-device');
+  const names = [...devices.keys()].sort();
+  if (list.children.length === names.length && names.every((name, i) => list.children[i].value === name)) return;
+  const chosen = list.value;
+  list.replaceChildren(...names.map((name) => element('option', name)));
+  if (devices.has(chosen)) list.value = chosen;
+}
+
+/** Draws the map again once other models have arrived. */
+async function drawMap() {
+  const models = [...devices.values()].map(({ device, model }) => `${device} ${model}`).sort().join();
+  if (models === mapOf) return siteMap.tick(devices);
+  mapOf = models;
+  const answer = await fetch('/api/map').catch(() => null);
+  if (!answer?.ok) return (mapOf = '');
+  siteMap.show(await answer.json(), devices);
+  const viewer = await globalThis.cosurf;
+  if (viewer) siteMap.look(viewer);
+}
+
+async function ask(path, body) {
+  const options = { method: 'POST', body: body && JSON.stringify(body) };
+  const answer = await fetch(path, options).catch(() => null);
+  at('answer').textContent = !answer ? 'The aggregator does not answer.' : answer.ok ? 'Done.' : `Refused: ${await answer.text()}`;
+}
+
+at('actions').hidden = !document.body.dataset.acts;
+at('newer').addEventListener('click', () => location.reload());
+at('merge').addEventListener('click', () => ask('/api/merge'));
+at('forget').addEventListener('click', () => {
+  const device = at('forget-device').value;
+  if (device && confirm(`Withdraw all models that ${device} has sent so far?`)) ask('/api/forget', { device });
+});
+setInterval(() => {
+  rows.tick(devices);
+  siteMap.tick(devices);
+  if (Date.now() - heardAt > LOST_MS) {
+    lose();
+    heardAt = Date.now();
+    listen();
+  }
+}, 1000);
+listen();

@@ -1,0 +1,97 @@
+//! The models that the page of a running site shows: the newest revision, and the one before it. They are read when a
+//! browser asks, one at a time, and kept until there is a newer revision.
+
+use std::path::Path;
+use std::sync::Arc;
+
+use axum::body::Bytes;
+use cosurf_link::{ModelKey, ModelStore};
+use tokio::sync::Mutex;
+use tokio::task::spawn_blocking;
+
+use super::board::Board;
+use crate::service::global_store;
+use crate::viewer::{FIRST_SPLATS, Room, Walkable, WalkableError};
+
+/// What reading a model may take, and how large it may be as SPZ, bytes.
+const READING_BYTES: u64 = 96 << 20;
+const FILE_BYTES: usize = 28 << 20;
+const ROOM: Room = Room {
+    memory_bytes: Some(READING_BYTES),
+    file_bytes: Some(FILE_BYTES),
+    first_splats: Some(FIRST_SPLATS),
+};
+/// For states, maps, events and connections.
+const OTHER_BYTES: u64 = 8 << 20;
+/// Limit on the memory of the page of a running site, bytes: a model that is being read, the two that are shown, and the
+/// rest.
+pub const PAGE_BYTES: u64 = READING_BYTES + 2 * FILE_BYTES as u64 + OTHER_BYTES;
+
+/// A model as it is served.
+#[derive(Clone, Debug)]
+pub(super) struct Served {
+    revision: u64,
+    pub(super) scene: Bytes,
+    /// Its most important splats, if it has many.
+    pub(super) first: Option<Bytes>,
+    pub(super) spz: Bytes,
+}
+
+/// The models of a running site. Clones share them.
+#[derive(Clone, Debug, Default)]
+pub(super) struct Models(Arc<Mutex<Pair>>);
+
+#[derive(Debug, Default)]
+struct Pair {
+    newest: Option<Served>,
+    before: Option<Served>,
+}
+
+impl Models {
+    /// The newest revision; `None` if there is none, or if it cannot be shown.
+    pub(super) async fn newest(&self, board: &Board) -> Option<Served> {
+        let revision = board.revision()?;
+        // Held while the model is read, so that one model is read at a time, and once.
+        let mut pair = self.0.lock().await;
+        if pair.newest.as_ref().is_none_or(|known| known.revision != revision) {
+            pair.newest = None;
+            let folder = board.folder().to_owned();
+            pair.newest = read(board, revision, move || Walkable::read(&folder, ROOM)).await;
+        }
+        pair.newest.clone()
+    }
+
+    /// The revision before the newest one; `None` if the service keeps none, or if it cannot be shown.
+    pub(super) async fn before(&self, board: &Board) -> Option<Served> {
+        let store = global_store(board.folder());
+        let key = key_before(&store, board.revision()?)?;
+        let mut pair = self.0.lock().await;
+        if pair.before.as_ref().is_none_or(|known| known.revision != key.model.0) {
+            pair.before = None;
+            let folder = board.folder().to_owned();
+            pair.before =
+                read(board, key.model.0, move || Walkable::stored(&store, key, &folder, ROOM)).await;
+        }
+        pair.before.clone()
+    }
+}
+
+/// The newest of the stored revisions that are older than this one.
+fn key_before(store: &Path, revision: u64) -> Option<ModelKey> {
+    let keys = ModelStore::beside(store).keys().ok()?;
+    keys.into_iter().filter(|key| !key.model.is_tile() && key.model.0 < revision).max_by_key(|key| key.model)
+}
+
+/// Reads a model on a thread of its own. The log tells why a model cannot be shown.
+async fn read(
+    board: &Board,
+    revision: u64,
+    what: impl FnOnce() -> Result<Walkable, WalkableError> + Send + 'static,
+) -> Option<Served> {
+    let model = spawn_blocking(what).await.ok()?;
+    let model = model
+        .inspect_err(|error| board.note_line(&format!("revision {revision} is not shown: {error}")))
+        .ok()?;
+    let (scene, first) = (Bytes::from(model.scene_json()), model.first().map(Bytes::copy_from_slice));
+    Some(Served { revision, scene, first, spz: model.into_spz().into() })
+}

@@ -1,0 +1,55 @@
+// Shows the revision before beside the newest one: a slider moves the border between both. It knows nothing about input.
+//
+// Start reading at Comparison. The revision before is at before/scene.json and before/model.spz.
+
+/* global decodeSpz, Drawing, add, dot */
+/* exported Comparison */
+
+class Comparison {
+  /** Loads the revision before. Throws an Error with one line of text if there is none. `main` is the newest one's scene. */
+  static async load(section, main) {
+    const [described, file] = await Promise.all(['before/scene.json', 'before/model.spz'].map((name) => fetch(name)));
+    if (!described.ok || !file.ok) throw new Error('The revision before is not kept, or is too large to show.');
+    const model = await decodeSpz(new Uint8Array(await file.arrayBuffer()));
+    return new Comparison(section, main, await described.json(), model);
+  }
+
+  constructor(section, main, scene, model) {
+    [this.main, this.scene] = [main, scene];
+    this.canvas = section.querySelector('.before');
+    this.slide = section.querySelector('.slide');
+    this.drawing = new Drawing(this.canvas, model);
+    this.slide.querySelector('input').addEventListener('input', () => this.move());
+    this.toggle(true);
+  }
+
+  get isShown() {
+    return !this.canvas.hidden;
+  }
+
+  toggle(isShown) {
+    this.canvas.hidden = this.slide.hidden = !isShown;
+    this.move();
+  }
+
+  /** Shows the revision before to the left of the border. */
+  move() {
+    this.canvas.style.clipPath = `inset(0 ${100 - this.slide.querySelector('input').value}% 0 0)`;
+  }
+
+  /** The same camera in the frame of the revision before: both frames lie in the world without a turn. */
+  cameraOf(camera) {
+    const apart = add(this.scene.origin, this.main.origin, -1);
+    const turned = [0, 1, 2].map((k) => dot(camera.rotation.slice(3 * k, 3 * k + 3), apart));
+    const translation = turned.map((v, k) => (v + this.main.unit * camera.translation[k]) / this.scene.unit);
+    return { ...camera, translation };
+  }
+
+  /** Draws in the splats' last order, and again once they are sorted. */
+  async show(camera, layer) {
+    if (!this.isShown) return;
+    const its = this.cameraOf(camera);
+    this.drawing.draw(its, layer);
+    if (await this.drawing.sort(its)) this.drawing.draw(its, layer);
+  }
+}

@@ -1,0 +1,106 @@
+//! How large a model for the viewer may become, and how the most important splats are chosen if it is larger.
+
+use std::path::Path;
+
+use cosurf_link::plain_importance;
+use cosurf_scene::{Camera, LocalFrame, Splats, model, spz};
+
+use super::error::WalkableError;
+
+/// Usual number of splats of a first part: about a megabyte.
+pub const FIRST_SPLATS: usize = 40_000;
+/// Number of splats that are read at a time.
+const READ_AT_ONCE: usize = 4096;
+/// Share of the splats that is kept beyond what the last file's size asks for: other splats compress a little worse.
+const CAUTION: f64 = 0.97;
+
+/// How large a model for the viewer may become.
+#[derive(Clone, Copy, Debug)]
+pub struct Room {
+    /// Limit on the splats in memory and on what is made of them, bytes; `None` for no limit.
+    pub memory_bytes: Option<u64>,
+    /// Limit on the SPZ, bytes; `None` for no limit.
+    pub file_bytes: Option<usize>,
+    /// Number of splats of a first part, which a page shows until it has the rest; `None` for no first part.
+    pub first_splats: Option<usize>,
+}
+
+impl Room {
+    /// No limits.
+    pub const UNLIMITED: Self = Self { memory_bytes: None, file_bytes: None, first_splats: None };
+
+    /// Largest number of splats in memory, together with their SPZ before and after its compression, and its text in a page.
+    pub(super) fn splats_max(&self, sh_degree: u32) -> usize {
+        let body = spz::body_bytes(sh_degree);
+        let each = Splats::bytes_per_splat(sh_degree) + body + 4 * body / 3;
+        self.memory_bytes.map_or(usize::MAX, |bytes| (bytes / each as u64) as usize)
+    }
+}
+
+/// The splats of a file, or its most important ones if the memory is small; the number of all; and their frame.
+pub(super) fn read(
+    path: &Path,
+    cameras: &[Camera],
+    room: Room,
+) -> Result<(Splats, usize, LocalFrame), WalkableError> {
+    let frame = match cameras {
+        [] => LocalFrame::at(model::origin(path)?),
+        cameras => LocalFrame::of(cameras.iter()),
+    };
+    let (count, sh_degree) = model::size(path)?;
+    let most = room.splats_max(sh_degree);
+    if count <= most {
+        return Ok((model::read(path, &frame)?, count, frame));
+    }
+    let mut importances = Vec::with_capacity(count);
+    model::read_parts(path, &frame, READ_AT_ONCE, |part| importances.extend(plain_importance(part)))?;
+    let least = least_of(importances, most);
+    let mut kept = Splats::with_capacity(most, sh_degree);
+    model::read_parts(path, &frame, READ_AT_ONCE, |part| keep(part, least, most, &mut kept))?;
+    Ok((kept, count, frame))
+}
+
+/// The most important splats of some; `None` if there are not more than twice as many, which is not worth a part of its own.
+pub(super) fn first_of(splats: &Splats, most: usize) -> Option<Splats> {
+    (splats.len() / 2 > most).then(|| most_important(splats, most))
+}
+
+/// The `most` most important splats. `most` must be below the number of splats.
+fn most_important(splats: &Splats, most: usize) -> Splats {
+    let least = least_of(plain_importance(splats), most);
+    let mut kept = Splats::with_capacity(most, splats.sh_degree);
+    keep(splats, least, most, &mut kept);
+    kept
+}
+
+/// Encodes as many splats as the limit allows, the most important ones. Returns the file and their number.
+pub(super) fn encode(
+    mut splats: Splats,
+    file_bytes: Option<usize>,
+    path: &Path,
+) -> Result<(Vec<u8>, usize), WalkableError> {
+    loop {
+        let bytes = spz::to_bytes(&splats).ok_or_else(|| WalkableError::TooFar { path: path.into() })?;
+        let limit = file_bytes.unwrap_or(usize::MAX);
+        if bytes.len() <= limit {
+            return Ok((bytes, splats.len()));
+        }
+        let most = ((splats.len() as f64 * limit as f64 / bytes.len() as f64 * CAUTION) as usize).max(1);
+        splats = most_important(&splats, most);
+    }
+}
+
+/// The smallest importance of the `most` most important splats. `most` must be below the number of splats.
+fn least_of(mut importances: Vec<f32>, most: usize) -> f32 {
+    let at = importances.len() - most.max(1);
+    *importances.select_nth_unstable_by(at, f32::total_cmp).1
+}
+
+/// Appends the splats that are at least so important, until there are `most`.
+fn keep(from: &Splats, least: f32, most: usize, kept: &mut Splats) {
+    for (i, importance) in plain_importance(from).into_iter().enumerate() {
+        if importance >= least && kept.len() < most {
+            kept.push_from(from, i);
+        }
+    }
+}
