@@ -70,12 +70,53 @@ impl Chromium {
         answer["value"].take()
     }
 
+    /// Whether a condition holds in the page. It does not while another page is loading.
+    pub fn holds(&self, condition: &str) -> bool {
+        let script = json!({"script": format!("return Boolean({condition})"), "args": []});
+        let path = format!("/session/{}/execute/sync", self.session);
+        self.ask("POST", &path, &script).is_ok_and(|value| value == true)
+    }
+
+    /// Runs a script in the page. The page's policy does not apply to it.
+    pub fn run(&self, script: &str) {
+        self.of_session("POST", "/execute/sync", &json!({"script": script, "args": []}));
+    }
+
     /// What the page and the browser have complained about since the last call, one line each.
     pub fn complaints(&self) -> Vec<String> {
         let log = self.of_session("POST", "/se/log", &json!({"type": "browser"}));
         let lines = log.as_array().unwrap().iter();
         let bad = lines.filter(|line| line["level"] != "INFO" && line["level"] != "DEBUG");
         bad.map(|line| line["message"].as_str().unwrap().to_owned()).collect()
+    }
+
+    /// Shows pages with this width, px, and in dark or light colours from the next one that is opened.
+    pub fn look(&self, width_px: u32, is_dark: bool) {
+        let size =
+            json!({"width": width_px, "height": 900, "deviceScaleFactor": 1, "mobile": width_px < 500});
+        self.developer("Emulation.setDeviceMetricsOverride", &size);
+        let scheme = if is_dark { "dark" } else { "light" };
+        let media = json!({"features": [{"name": "prefers-color-scheme", "value": scheme}]});
+        self.developer("Emulation.setEmulatedMedia", &media);
+    }
+
+    /// Presses the Tab key, as a user without a mouse does.
+    pub fn press_tab(&self) {
+        for kind in ["rawKeyDown", "keyUp"] {
+            let key = json!({"type": kind, "key": "Tab", "code": "Tab", "windowsVirtualKeyCode": 9});
+            self.developer("Input.dispatchKeyEvent", &key);
+        }
+    }
+
+    /// A picture of the whole page as PNG, in base64.
+    pub fn whole_page(&self) -> String {
+        let taken = self.developer("Page.captureScreenshot", &json!({"captureBeyondViewport": true}));
+        taken["data"].as_str().unwrap().to_owned()
+    }
+
+    /// Asks Chromium by its developer tools' protocol, which chromedriver passes on.
+    fn developer(&self, method: &str, params: &Value) -> Value {
+        self.of_session("POST", "/goog/cdp/execute", &json!({"cmd": method, "params": params}))
     }
 
     fn of_session(&self, method: &str, path: &str, body: &Value) -> Value {
@@ -100,6 +141,25 @@ impl Chromium {
             None => Ok(answer["value"].take()),
         }
     }
+}
+
+/// The bytes of a text in base64.
+pub fn decode_base64(text: &str) -> Vec<u8> {
+    let value = |c: u8| match c {
+        b'A'..=b'Z' => c - b'A',
+        b'a'..=b'z' => c - b'a' + 26,
+        b'0'..=b'9' => c - b'0' + 52,
+        b'+' => 62,
+        _ => 63,
+    };
+    let digits: Vec<u32> = text.bytes().filter(|c| *c != b'=').map(|c| u32::from(value(c))).collect();
+    digits
+        .chunks(4)
+        .flat_map(|chunk| {
+            let bits = chunk.iter().enumerate().fold(0, |bits, (i, digit)| bits | digit << (18 - 6 * i));
+            bits.to_be_bytes()[1..chunk.len()].to_vec()
+        })
+        .collect()
 }
 
 /// The port on which a chromedriver listens, which it prints.

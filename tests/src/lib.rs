@@ -9,7 +9,7 @@
 //!   process, and certificates for it. [`nats`], [`s3`]: a NATS server and an S3 server as child processes.
 //! - [`datasets`]: synthetic cities and the datasets that benches use. [`programs`]: the paths of the programs that
 //!   cargo has built. [`running`]: such a program beside a test. [`dice`]: random numbers. [`mutate`]: changed samples.
-//! - [`chromium`]: a headless browser.
+//! - [`chromium`]: a headless browser. [`axe`]: checks of its pages for people without a mouse or a screen.
 //! - [`usage`]: the memory and time that a child process takes.
 //! - [`slow_line`]: a line to a broker that is slow and breaks.
 //!   [`web_door`]: a WebSocket listener in front of a broker.
@@ -22,6 +22,7 @@
 // A builder that fails should make the test that calls it fail.
 #![allow(clippy::unwrap_used)]
 
+pub mod axe;
 pub mod chromium;
 pub mod coordinates;
 pub mod datasets;

@@ -33,6 +33,23 @@ impl Running {
         fs::read_to_string(&self.log).unwrap()
     }
 
+    /// The first address of a page in the log. Waits for it.
+    pub fn page(&self) -> String {
+        let begun = Instant::now();
+        loop {
+            if let Some(url) = self.log().lines().find(|line| line.starts_with("http://")) {
+                return url.to_owned();
+            }
+            assert!(begun.elapsed() < PATIENCE, "no address: {}", self.log());
+            sleep(Duration::from_millis(20));
+        }
+    }
+
+    /// The number of its process.
+    pub fn process(&self) -> u32 {
+        self.child.id()
+    }
+
     /// Path of the log.
     pub fn log_path(&self) -> &Path {
         &self.log

@@ -4,13 +4,12 @@
 use std::env::var_os;
 use std::fs;
 use std::path::{Path, PathBuf};
-use std::time::{Duration, Instant};
 
 use cosurf_engine::{Renderer, Rendering};
 use cosurf_scene::{Camera, Dataset, LocalFrame, Picture, Pose, Splats, camera_list, metrics, ply, spz};
-use cosurf_tests::chromium::Chromium;
+use cosurf_tests::chromium::{Chromium, decode_base64};
 use cosurf_tests::models::noise;
-use cosurf_tests::running::{PATIENCE, Running};
+use cosurf_tests::running::Running;
 use glam::{DVec2, DVec3};
 
 /// The viewer and the CPU renderer show the same quantised splats, so they differ only by rounding, dB.
@@ -52,14 +51,8 @@ fn cameras() -> Vec<Camera> {
 /// Serves a folder's model. Returns the program and its address.
 fn serve(folder: &Path, model: &Path) -> (Running, String) {
     let program = Running::start("cosurf-aggregator", folder, &["view", &model.display().to_string()]);
-    let begun = Instant::now();
-    loop {
-        if let Some(url) = program.log().lines().find(|line| line.starts_with("http://")) {
-            return (program, url.to_owned());
-        }
-        assert!(begun.elapsed() < PATIENCE, "no address: {}", program.log());
-        std::thread::sleep(Duration::from_millis(20));
-    }
+    let url = program.page();
+    (program, url)
 }
 
 /// What the viewer draws from camera `index` of its scene.
@@ -71,24 +64,6 @@ fn picture(browser: &Chromium, index: usize) -> Picture {
     let path = folder.path().join("picture.png");
     fs::write(&path, png).unwrap();
     Picture::read(&path).unwrap()
-}
-
-fn decode_base64(text: &str) -> Vec<u8> {
-    let value = |c: u8| match c {
-        b'A'..=b'Z' => c - b'A',
-        b'a'..=b'z' => c - b'a' + 26,
-        b'0'..=b'9' => c - b'0' + 52,
-        b'+' => 62,
-        _ => 63,
-    };
-    let digits: Vec<u32> = text.bytes().filter(|c| *c != b'=').map(|c| u32::from(value(c))).collect();
-    digits
-        .chunks(4)
-        .flat_map(|chunk| {
-            let bits = chunk.iter().enumerate().fold(0, |bits, (i, digit)| bits | digit << (18 - 6 * i));
-            bits.to_be_bytes()[1..chunk.len()].to_vec()
-        })
-        .collect()
 }
 
 /// PSNR of a picture against what the CPU renderer shows, as a PNG would hold it, dB.
@@ -130,6 +105,7 @@ fn the_viewer_draws_what_the_cpu_renderer_draws() {
     assert!(same > SAME_SPLATS_DB && before > BEFORE_QUANTISING_DB, "{same} dB, {before} dB");
     depths_are_those_of_the_renderer(&browser);
     keys_move_the_camera(&browser);
+    areas_and_profiles_are_those_of_the_ground(&browser);
     assert_eq!(browser.complaints(), [""; 0]);
 }
 
@@ -171,6 +147,25 @@ fn keys_move_the_camera(browser: &Chromium) {
     );
     let told = told.as_str().unwrap();
     assert!(told.starts_with("distance ") && told.contains("height difference"), "{told}");
+}
+
+/// The area of a polygon, and the heights along a line, against the ground that the splats lie on.
+fn areas_and_profiles_are_those_of_the_ground(browser: &Chromium) {
+    let told = browser.value(
+        "cosurf.then(async (viewer) => { viewer.does('area'); \
+         viewer.points = [[0, 0, 0], [10, 0, 5], [10, 8, -5], [0, 8, 0]]; await viewer.describe(); \
+         const area = viewer.told.textContent; viewer.does('profile'); \
+         viewer.points = [[-20, 3, 0], [20, 3, 0]]; await viewer.describe(); \
+         const path = viewer.section.querySelector('.chart path').getAttribute('d'); \
+         return [area, viewer.told.textContent, path.length]; })",
+    );
+    assert!(told[0].as_str().unwrap().starts_with("area on the map 80.00 "), "{told}");
+    let words: Vec<&str> = told[1].as_str().unwrap().split(' ').collect();
+    let figure = |i: usize| words[i].parse::<f64>().unwrap();
+    assert!((figure(2) - 40.0).abs() < 0.01, "{told}");
+    // Along y = 3 the ground lies between -2.83 and 2.83; its splats are up to a metre wide.
+    assert!((-3.6..-1.5).contains(&figure(6)) && (1.5..3.6).contains(&figure(8)), "{told}");
+    assert!(told[2].as_u64().unwrap() > 500, "{told}");
 }
 
 /// The model of a mission or another folder with cameras, which the variable `VIEWER_MODEL` names.

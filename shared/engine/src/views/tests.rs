@@ -1,5 +1,5 @@
 #![allow(clippy::unwrap_used)]
-use cosurf_scene::Pose;
+use cosurf_scene::{Pose, ply};
 use glam::{DVec2, DVec3};
 
 use super::*;

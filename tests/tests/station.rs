@@ -1,0 +1,325 @@
+//! The operator's page of a running service, in a headless browser and under load: it follows devices and revisions, says
+//! that the aggregator has stopped, finds it again, and is usable by keyboard, on a phone, and in dark colours.
+#![cfg(target_os = "linux")]
+#![allow(clippy::unwrap_used)]
+
+use std::fs;
+use std::io::{Read, Write};
+use std::net::{SocketAddr, TcpListener, TcpStream};
+use std::path::{Path, PathBuf};
+use std::sync::atomic::{AtomicBool, Ordering};
+use std::thread::{self, sleep};
+use std::time::{Duration, Instant};
+
+use cosurf_contract::{AgentPhase, AgentStatus};
+use cosurf_link::{
+    MqttConfig, MqttTransport, Offer, Outgoing, PublishError, Role, Transport, TransportEvent,
+};
+use cosurf_tests::axe::Axe;
+use cosurf_tests::chromium::{Chromium, decode_base64};
+use cosurf_tests::live::upload;
+use cosurf_tests::offers::{broker_address, identity, mergeable_offer};
+use cosurf_tests::running::{PATIENCE, Running};
+use cosurf_tests::usage::peak_bytes;
+use cosurf_wire::{DeviceId, ModelId, SiteId, Topic};
+
+/// The aggregator says every 5 s that it lives, and the page waits for 12 s.
+const LOST_WITHIN: Duration = Duration::from_secs(60);
+
+/// A service with a page, whose folder and addresses outlive its program.
+struct Site {
+    folder: tempfile::TempDir,
+    broker: SocketAddr,
+    page: SocketAddr,
+}
+
+impl Site {
+    fn new() -> Self {
+        let [broker, page] =
+            [(); 2].map(|()| TcpListener::bind("127.0.0.1:0").unwrap().local_addr().unwrap());
+        let folder = tempfile::tempdir().unwrap();
+        let text = format!(
+            "site = \"site\"\nout = \"out\"\nbind = \"{broker}\"\nquorum = 1\nquiet_s = 0\nrefine = false\n"
+        );
+        fs::write(folder.path().join("aggregator.toml"), text).unwrap();
+        Self { folder, broker, page }
+    }
+
+    fn start(&self) -> Running {
+        Running::start("cosurf-aggregator", self.folder.path(), &["run", "--http", &self.page.to_string()])
+    }
+
+    fn start_without_page(&self) -> Running {
+        Running::start("cosurf-aggregator", self.folder.path(), &["run"])
+    }
+
+    /// A client of the broker, once it is connected.
+    fn client(&self) -> MqttTransport {
+        let identity = identity(Role::Device, "teller");
+        let broker = broker_address(self.broker);
+        let mut transport =
+            MqttTransport::start(MqttConfig { broker, identity, will: None, tls: None, login: None });
+        let begun = Instant::now();
+        while transport.poll(Duration::from_millis(50)) != Some(TransportEvent::Connected) {
+            assert!(begun.elapsed() < PATIENCE);
+        }
+        transport
+    }
+
+    /// Uploads a model of `count` splats under this number.
+    fn upload(&self, device: &str, number: u64, count: usize) {
+        let mut offer: Offer = mergeable_offer(device, count);
+        offer.header.model = ModelId(number);
+        upload(broker_address(self.broker), None, identity(Role::Device, device), offer, |_| (), |_| ());
+    }
+}
+
+/// Publishes the status of a device as its agent would.
+fn tell(transport: &mut MqttTransport, device: &str, step: u32) {
+    let status = AgentStatus {
+        phase: AgentPhase::Training,
+        step,
+        psnr: Some(20.0 + step as f32 / 100.0),
+        ..AgentStatus::new(1000, "0.1.0")
+    };
+    let topic = Topic::Status { device: DeviceId::new(device).unwrap() };
+    let topic = topic.to_text(&SiteId::new("site").unwrap());
+    let message = Outgoing { topic, payload: serde_json::to_vec(&status).unwrap(), retain: true };
+    while transport.publish(&message) == Err(PublishError::Busy) {
+        transport.poll(Duration::from_millis(1));
+    }
+}
+
+/// Waits until a condition holds in the page. Returns how long that took.
+fn await_page(browser: &Chromium, condition: &str, within: Duration) -> Duration {
+    let begun = Instant::now();
+    while !browser.holds(condition) {
+        assert!(begun.elapsed() < within, "{condition}: {:?}", browser.complaints());
+        sleep(Duration::from_millis(50));
+    }
+    begun.elapsed()
+}
+
+fn await_log(program: &Running, text: &str) {
+    let begun = Instant::now();
+    while !program.log().contains(text) {
+        assert!(begun.elapsed() < PATIENCE, "{text}: {}", program.log());
+        sleep(Duration::from_millis(20));
+    }
+}
+
+#[test]
+fn the_page_follows_a_site_and_finds_it_again() {
+    let Some(browser) = Chromium::start([1100, 900]) else { return };
+    let site = Site::new();
+    let program = site.start();
+    browser.open(&program.page());
+    let mut client = site.client();
+    tell(&mut client, "drone-1", 17);
+    let shown = "document.querySelector('#devices').innerText.includes('17 of 1000')";
+    let progress = await_page(&browser, shown, PATIENCE);
+    site.upload("drone-1", 1, 2000);
+    await_log(&program, "global model, revision 1");
+    let model = await_page(&browser, "document.body.dataset.revision === '1'", PATIENCE);
+    let begun = Instant::now();
+    assert_eq!(browser.value("cosurf.then((viewer) => viewer.scene.splats > 100)"), true);
+    println!("first progress after {progress:.1?}, model after {:.1?}", model + begun.elapsed());
+    await_page(&browser, "document.querySelectorAll('#map polygon').length === 3", PATIENCE);
+    revisions_are_compared(&browser, &site, &program);
+    the_operator_acts(&browser, &site);
+    everything_is_reached_by_keyboard(&browser);
+    assert_eq!(browser.complaints(), [""; 0]);
+    drop((program, client));
+    await_page(&browser, "!document.querySelector('#lost').hidden", LOST_WITHIN);
+    fs::remove_file(site.folder.path().join("cosurf-aggregator.log")).unwrap();
+    let _again = site.start();
+    let found = "document.querySelector('#lost').hidden && document.querySelector('#devices').innerText.includes('drone-1')";
+    await_page(&browser, found, LOST_WITHIN);
+}
+
+/// A second revision is offered, and the first one can be seen beside it.
+fn revisions_are_compared(browser: &Chromium, site: &Site, program: &Running) {
+    site.upload("drone-1", 2, 2500);
+    await_log(program, "global model, revision 2");
+    await_page(browser, "!document.querySelector('#newer').hidden", PATIENCE);
+    browser.run("document.querySelector('#newer').click()");
+    await_page(browser, "document.body.dataset.revision === '2'", PATIENCE);
+    let told = browser.value("cosurf.then((viewer) => viewer.compare().then(() => viewer.told.textContent))");
+    assert!(told.as_str().unwrap().contains("revision 1"), "{told}");
+    assert!(browser.holds("!document.querySelector('.before').hidden"));
+}
+
+/// Acts as the page's buttons do, and finds the action in the record.
+fn the_operator_acts(browser: &Chromium, site: &Site) {
+    browser.run("document.querySelector('#merge').click()");
+    await_page(browser, "document.querySelector('#answer').textContent === 'Done.'", PATIENCE);
+    let record = fs::read_to_string(site.folder.path().join("out/actions.jsonl")).unwrap();
+    assert!(record.contains("\"action\":\"merge now\"") && record.contains("127.0.0.1"), "{record}");
+}
+
+/// Goes through the page with the Tab key.
+fn everything_is_reached_by_keyboard(browser: &Chromium) {
+    let elements = "[...document.querySelectorAll('button, select, input, a[href], [tabindex=\"0\"]')]\
+                    .filter((it) => it.checkVisibility())";
+    let count = browser.value(&format!("{elements}.length")).as_u64().unwrap();
+    assert!(count > 15, "{count}");
+    for _ in 0..count + 5 {
+        browser.press_tab();
+        browser.run("document.activeElement.dataset.reached = 'yes'");
+    }
+    let missed =
+        browser.value(&format!("{elements}.filter((it) => !it.dataset.reached).map((it) => it.outerHTML)"));
+    assert_eq!(missed, serde_json::json!([]));
+}
+
+#[test]
+fn pages_have_no_serious_fault_on_any_screen() {
+    let Some(browser) = Chromium::start([1100, 900]) else { return };
+    let Some(axe) = Axe::installed() else { return };
+    let site = Site::new();
+    let program = site.start();
+    tell(&mut site.client(), "drone-1", 17);
+    site.upload("drone-1", 1, 2000);
+    await_log(&program, "report.html shows revision 1");
+    let out = site.folder.path().join("out");
+    let viewer = Running::start("cosurf-aggregator", &out, &["view", "."]);
+    let pages = [
+        ("live", program.page()),
+        ("report", format!("file://{}/report.html", out.display())),
+        ("viewer", viewer.page()),
+    ];
+    for (name, url) in &pages {
+        for (width_px, is_dark) in [(1100, false), (1100, true), (390, false), (390, true)] {
+            browser.look(width_px, is_dark);
+            browser.open(url);
+            browser.value("cosurf.then(() => true)");
+            if *name == "live" {
+                await_page(&browser, "document.querySelector('#devices td')", PATIENCE);
+            }
+            keep(&browser, &format!("{name}-{width_px}-{}", if is_dark { "dark" } else { "light" }));
+            assert_eq!(axe.faults(&browser), [""; 0], "{name}, {width_px} px wide, dark: {is_dark}");
+            let fits = "document.documentElement.scrollWidth <= innerWidth";
+            assert!(browser.holds(fits), "{name} is wider than {width_px} px");
+        }
+    }
+}
+
+/// Keeps a picture of the page for people to look at.
+fn keep(browser: &Chromium, name: &str) {
+    let folder: PathBuf = Path::new(env!("CARGO_MANIFEST_DIR")).parent().unwrap().join("target/screens");
+    fs::create_dir_all(&folder).unwrap();
+    fs::write(folder.join(format!("{name}.png")), decode_base64(&browser.whole_page())).unwrap();
+}
+
+const DEVICES: usize = 200;
+const READERS: usize = 50;
+/// Steps that each device tells, one after the other.
+const STEPS: u32 = 20;
+/// Largest state of 200 devices, bytes.
+const STATE_BYTES_MAX: usize = 300_000;
+/// What the program may take beside uploads and merges, of which there are none here, bytes.
+const CROWD_BYTES_MAX: u64 = 160 << 20;
+
+/// The answer of a request, up to `bytes_max`, or to the first part that satisfies `is_over`.
+fn read(page: SocketAddr, path: &str, pause: Duration, is_over: impl Fn(&[u8]) -> bool) -> Vec<u8> {
+    let mut stream = TcpStream::connect(page).unwrap();
+    stream.set_read_timeout(Some(PATIENCE)).unwrap();
+    stream.write_all(format!("GET {path} HTTP/1.1\r\nHost: localhost\r\n\r\n").as_bytes()).unwrap();
+    sleep(pause);
+    let (mut text, mut part) = (Vec::new(), vec![0; 64 << 10]);
+    loop {
+        let count = stream.read(&mut part).unwrap();
+        text.extend_from_slice(&part[..count]);
+        if count == 0 || is_over(&text) {
+            return text;
+        }
+    }
+}
+
+fn contains(text: &[u8], part: &str) -> bool {
+    text.windows(part.len()).any(|window| window == part.as_bytes())
+}
+
+/// Many devices tell how far they are while many readers follow. A reader gets changes, not whole states; one that does not
+/// read for seconds gets what it has missed in few events.
+#[test]
+fn two_hundred_devices_and_fifty_readers() {
+    let site = Site::new();
+    let program = site.start();
+    program.page();
+    let mut client = site.client();
+    let last = format!("\"device\":\"drone-{}\"", DEVICES - 1);
+    let whole = thread::scope(|scope| {
+        // The log is at the end of an event.
+        let is_over =
+            |text: &[u8]| contains(&text[text.len().saturating_sub(8192)..], "the model of last arrived");
+        let page = site.page;
+        let follow = move |pause| read(page, "/api/events", pause, is_over);
+        let readers: Vec<_> = (0..READERS).map(|_| scope.spawn(move || follow(Duration::ZERO))).collect();
+        let slow = scope.spawn(move || follow(Duration::from_secs(4)));
+        for step in 1..=STEPS {
+            (0..DEVICES).for_each(|i| tell(&mut client, &format!("drone-{i}"), step));
+        }
+        let newest = format!("\"step\":{STEPS},");
+        let begun = Instant::now();
+        let whole = loop {
+            let whole = read(site.page, "/api/state", Duration::ZERO, |_| false);
+            let text = String::from_utf8_lossy(&whole).into_owned();
+            if text.contains(&last) && text.matches(&newest).count() == DEVICES {
+                break whole;
+            }
+            assert!(begun.elapsed() < PATIENCE, "{text}");
+            sleep(Duration::from_millis(100));
+        };
+        site.upload("last", 1, 300);
+        let bytes: Vec<usize> = readers.into_iter().map(|reader| reader.join().unwrap().len()).collect();
+        let events = |text: &[u8]| String::from_utf8_lossy(text).matches("event: state").count();
+        let slow = slow.join().unwrap();
+        println!("a reader got {} bytes, a slow one {} events", bytes[0], events(&slow));
+        whole
+    });
+    let peak = peak_bytes(program.process()).unwrap();
+    println!("state {} bytes, peak {} MiB", whole.len(), peak >> 20);
+    assert!(whole.len() < STATE_BYTES_MAX && peak < CROWD_BYTES_MAX, "{} {peak}", whole.len());
+}
+
+/// How long the merge of a model takes, seconds; with a page, beside a crowd of devices and readers.
+fn merge_s(has_page: bool) -> f64 {
+    let site = Site::new();
+    let program = if has_page { site.start() } else { site.start_without_page() };
+    let mut client = site.client();
+    if has_page {
+        let (address, page) = (program.page(), site.page);
+        assert!(address.contains(&page.to_string()));
+        let is_over = |text: &[u8]| contains(&text[text.len().saturating_sub(8192)..], "global model");
+        (0..READERS)
+            .for_each(|_| drop(thread::spawn(move || read(page, "/api/events", Duration::ZERO, is_over))));
+    }
+    (0..DEVICES).for_each(|i| tell(&mut client, &format!("drone-{i}"), 1));
+    let is_merged = AtomicBool::new(false);
+    thread::scope(|scope| {
+        scope.spawn(|| {
+            while !is_merged.load(Ordering::Relaxed) {
+                // As often as 200 agents do, each every five seconds.
+                (0..DEVICES).for_each(|i| {
+                    tell(&mut client, &format!("drone-{i}"), 2);
+                    sleep(Duration::from_millis(25));
+                });
+            }
+        });
+        site.upload("drone-0", 1, 100_000);
+        await_log(&program, "global model, revision 1");
+        is_merged.store(true, Ordering::Relaxed);
+    });
+    let record = fs::read(site.folder.path().join("out/merged.json")).unwrap();
+    serde_json::from_slice::<serde_json::Value>(&record).unwrap()["seconds"].as_f64().unwrap()
+}
+
+#[test]
+#[ignore = "measures, on a computer that does nothing else"]
+fn a_merge_beside_the_page() {
+    let times: Vec<[f64; 2]> = (0..3).map(|_| [false, true].map(merge_s)).collect();
+    let [without, with] = [0, 1].map(|i| times.iter().map(|its| its[i]).fold(f64::MAX, f64::min));
+    println!("the fastest of 3 merges: {without:.2} s, beside the page {with:.2} s");
+    assert!(with < 1.5 * without + 0.5, "{times:?}");
+}
