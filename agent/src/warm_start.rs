@@ -121,7 +121,7 @@ impl Extract {
 #[cfg(test)]
 mod tests {
     #![allow(clippy::unwrap_used)]
-    use cosurf_scene::Pose;
+    use cosurf_scene::{Pose, ply};
     use glam::DVec2;
 
     use super::*;

@@ -211,7 +211,7 @@ impl Walkable {
 mod tests {
     #![allow(clippy::unwrap_used)]
     use cosurf_link::{FirstLayer, Offer, model_to_body};
-    use cosurf_scene::{Base, camera_list};
+    use cosurf_scene::{Base, camera_list, spz};
     use cosurf_wire::{DeviceId, ModelId, ModelKind};
     use glam::DVec3;
 
