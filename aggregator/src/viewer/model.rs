@@ -100,7 +100,10 @@ impl Walkable {
         };
         let geo = Georeference::of_folder(beside)?.map(|georeference| georeference.origin);
         let (splats, of_splats, frame) = read(&path, &world_cameras, room)?;
-        let name = model.file_name().map_or_else(String::new, |name| name.to_string_lossy().into_owned());
+        // A path like `.` has no name of its own.
+        let whole = model.canonicalize().unwrap_or_else(|_| model.to_owned());
+        let name =
+            whole.file_name().map_or_else(|| "model".into(), |name| name.to_string_lossy().into_owned());
         Self::of(Source { name, path, splats, of_splats, frame, world_cameras, geo }, room)
     }
 
