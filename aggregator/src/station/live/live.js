@@ -2,7 +2,7 @@
 //
 // Start reading at listen.
 
-/* global Rows, SiteMap, element, seconds */
+/* global Rows, SiteMap, element, counted, seconds */
 
 /** The server says every 5 s that it lives. After so long without a word, ms, the page says that it does not answer. */
 const LOST_MS = 12000;
@@ -56,7 +56,7 @@ function show(state) {
     devices.set(device.device, { ...device, heardAt: ago === null ? null : Date.now() - 1000 * ago });
   }
   const parts = [state.is_connected ? 'connected to the broker' : 'not connected to the broker'];
-  parts.push(revision ? `revision ${revision.revision}: ${revision.splats} splats of ${revision.models} models` : 'no global model yet');
+  parts.push(revision ? `revision ${revision.revision}: ${counted(revision.splats, 'splat')} of ${counted(revision.models, 'model')}` : 'no global model yet');
   if (merge) parts.push(`merging, step ${merge.step} of ${merge.steps}`);
   at('summary').textContent = parts.join(' · ');
   rows.show(devices);

@@ -3,7 +3,7 @@
 //
 // Start reading at SiteMap.show. The map is that of aggregator/src/station/site_map.rs.
 
-/* global svg, colorOf, isAlive, add, dot, row, geodeticOf */
+/* global svg, counted, colorOf, isAlive, add, dot, row, geodeticOf */
 /* exported SiteMap */
 
 /** Width of the drawing, and its smallest and largest height, in its own units. */
@@ -41,7 +41,7 @@ class SiteMap {
     this.scale = Math.min(WIDTH / span[0], this.height / span[1]);
     this.low = this.low.map((low, a) => low - ([WIDTH, this.height][a] / this.scale - span[a]) / 2);
     this.canvas.setAttribute('viewBox', `0 0 ${WIDTH} ${this.height.toFixed(0)}`);
-    this.told.textContent = `${map.devices.length} devices with photographs; footprints on level ground are estimates.`;
+    this.told.textContent = `${counted(map.devices.length, 'device')} with photographs; footprints on level ground are estimates.`;
     this.draw(devices);
   }
 

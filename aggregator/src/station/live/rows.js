@@ -3,7 +3,7 @@
 //
 // Start reading at Rows.show.
 
-/* exported Rows, colorOf, element, svg, seconds, isAlive */
+/* exported Rows, colorOf, element, svg, counted, seconds, isAlive */
 
 const COLUMNS = ['device', 'phase', 'step', 'PSNR', 'splats', 'memory', 'sent', 'left', 'heard', 'model', 'remarks'];
 /** Agents tell how far they are every 5 s; one that is silent for so long has missed two. */
@@ -20,6 +20,8 @@ const svg = (name, attributes) => {
   for (const [key, value] of Object.entries(attributes)) made.setAttribute(key, value);
   return made;
 };
+/** A number with a noun, in the plural unless it is one. */
+const counted = (count, noun) => `${count} ${noun}${count === 1 ? '' : 's'}`;
 const bytes = (count) => (count >= 1e6 ? `${(count / 1e6).toFixed(1)} MB` : `${Math.round(count / 1e3)} kB`);
 const seconds = (s) => (s >= 5400 ? `${Math.round(s / 3600)} h` : s >= 120 ? `${Math.round(s / 60)} min` : `${Math.round(s)} s`);
 /** The colour of a device by its place in the list; as in the reports (aggregator/src/report/svg.rs). */
