@@ -5,6 +5,7 @@
 //! - [`session`]: training within a memory limit. A training that is killed and resumed gives the same bits as one that
 //!   runs without a stop ([`checkpoint`]).
 //! - [`ingest`]: photographs to pictures with poses, by COLMAP, in their place on the earth.
+//! - [`arrival`]: whether the pictures of a flight have arrived in a folder, and are complete.
 //! - [`cell`]: the pictures of the agent's cell of the site's plan.
 //! - [`evaluate`]: scores of a model on held-out pictures.
 //! - [`pictures`]: renderings of a model as files.
@@ -46,6 +47,7 @@
 //! # Ok::<(), anyhow::Error>(())
 //! ```
 
+pub mod arrival;
 pub mod cell;
 pub mod changes;
 pub mod checkpoint;

@@ -40,13 +40,32 @@ impl Agent {
 
     /// Starts the agent of a prepared folder with `command`, which gets the arguments.
     fn spawn(folder: &Path, mut command: Command) -> Self {
+        command.args(["run", "--config", "agent.toml"]);
+        Self::spawn_with(folder, command)
+    }
+
+    /// Starts the agent of a prepared folder with a command that has its arguments.
+    fn spawn_with(folder: &Path, mut command: Command) -> Self {
         let begun = Instant::now();
-        command.args(["run", "--config", "agent.toml"]).current_dir(folder).env_remove("XDG_RUNTIME_DIR");
+        command.current_dir(folder).env_remove("XDG_RUNTIME_DIR");
         let mut child = command.stdin(Stdio::null()).stderr(Stdio::piped()).spawn().unwrap();
         let (say, lines) = channel();
         let stderr = BufReader::new(child.stderr.take().unwrap());
         spawn(move || stderr.lines().map_while(Result::ok).for_each(|line| _ = say.send(line)));
         Self { child, lines, begun }
+    }
+
+    /// Waits for the line with `part`, at most so long.
+    fn tells_within(&self, part: &str, limit: Duration) {
+        let end = Instant::now() + limit;
+        let mut heard = Vec::new();
+        while let Ok(line) = self.lines.recv_timeout(end.saturating_duration_since(Instant::now())) {
+            if line.contains(part) {
+                return;
+            }
+            heard.push(line);
+        }
+        panic!("{part:?} is not told within {limit:?}: {heard:#?}");
     }
 
     /// Waits until the agent tells `part`, which must be at once and before it trains.
@@ -331,4 +350,24 @@ fn preflight_tells_whether_a_flight_can_begin() {
     assert!(!folder.path().join("out/model.ply").exists(), "it has trained");
     let (is_ready, told) = preflight(&format!("broker = \"mqtt://{free}\""));
     assert!(!is_ready && told.contains("refused") && told.contains("cannot be reached"), "{told}");
+}
+
+#[test]
+fn a_watching_agent_waits_for_pictures_and_then_trains() {
+    let folder = tempfile::tempdir().unwrap();
+    prepare(folder.path(), "serial = \"/dev/no-radio\"", 3);
+    let flights = folder.path().join("flights");
+    fs::create_dir(&flights).unwrap();
+    let mut command = Command::new(program("cosurf-agent"));
+    command.args(["run", "--watch", "flights"]);
+    let agent = Agent::spawn_with(folder.path(), command);
+    agent.tells("waiting for pictures in flights");
+    assert!(agent.lines.recv_timeout(Duration::from_secs(3)).is_err(), "there are no pictures yet");
+    for name in ["images", "sparse"] {
+        fs::rename(folder.path().join("data").join(name), flights.join(name)).unwrap();
+    }
+    // Ten seconds without a change, and the rest for busy computers.
+    agent.tells_within(TRAINING, Duration::from_secs(40));
+    agent.tells_within("/dev/no-radio", Duration::from_secs(20));
+    assert!(folder.path().join("out/flight.json").is_file());
 }

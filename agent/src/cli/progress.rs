@@ -184,6 +184,7 @@ fn describe(event: &AgentEvent) -> Option<String> {
             };
             if *resumed { format!("{choice}, as the training was begun") } else { choice }
         }
+        AgentEvent::Watching { folder } => format!("waiting for pictures in {}", folder.display()),
         AgentEvent::Ingesting { stage, done, of, seconds_left, resumed } => {
             let stage = match stage {
                 IngestStage::Reading => "photographs read",

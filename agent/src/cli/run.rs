@@ -5,6 +5,7 @@ mod comparison;
 mod doctor;
 mod reporter;
 mod route;
+mod watch;
 
 use std::fs;
 use std::path::{Path, PathBuf};
@@ -12,11 +13,13 @@ use std::time::{Duration, Instant, SystemTime, UNIX_EPOCH};
 
 use anyhow::{Context, Result, ensure};
 use clap::Args;
+use cosurf_agent::arrival::Arrival;
 use cosurf_agent::publish::{Publication, Sharing, global_ply, publish};
 use cosurf_agent::session::{self, Split, TrainPlan};
 use cosurf_agent::status::StatusBoard;
 use cosurf_contract::{AgentConfig, AgentEvent, ComparedWith, Share};
 use cosurf_engine::{PruneSettings, SurfaceSettings, base_of};
+use cosurf_geo::Geodetic;
 use cosurf_link::{Credentials, Identity, Role, next_session};
 use cosurf_scene::{Camera, FolderLock, LocalFrame, Splats, camera_list, ply};
 use cosurf_wire::DeviceId;
@@ -30,6 +33,7 @@ use comparison::Comparison;
 pub(super) use doctor::{DoctorArgs, doctor};
 use reporter::Reporter;
 use route::Route;
+use watch::Watched;
 
 /// Train with the settings in a configuration file, publish the model to the aggregator, and receive the global model.
 /// To resume after a stop or a kill, run the same command again.
@@ -38,8 +42,16 @@ pub(super) struct RunArgs {
     #[command(flatten)]
     job: JobArgs,
     /// Start again even if the output folder has a checkpoint
-    #[arg(long)]
+    #[arg(long, conflicts_with = "watch")]
     fresh: bool,
+    /// Wait for pictures in this folder, in place of `data`, and train once nothing in it has changed for ten seconds; then
+    /// wait for those of the next flight. It may hold a dataset, or photographs, which COLMAP then poses
+    #[arg(long, value_name = "FOLDER")]
+    watch: Option<PathBuf>,
+    /// With --watch, origin of the site for photographs, latitude and longitude in degrees and height in metres. Give the
+    /// same to all drones of a site
+    #[arg(long, value_name = "LAT,LON,HEIGHT", allow_hyphen_values = true, requires = "watch")]
+    origin: Option<Geodetic>,
 }
 
 /// What `run` and `preflight` work on.
@@ -81,23 +93,19 @@ pub(super) fn preflight(PreflightArgs { job: args }: &PreflightArgs) -> Result<(
     Ok(())
 }
 
-pub(super) fn run(RunArgs { job: args, fresh }: &RunArgs) -> Result<()> {
+pub(super) fn run(RunArgs { job: args, fresh, watch, origin }: &RunArgs) -> Result<()> {
     let mut job = Job::load(&args.config)?;
     let _lock = FolderLock::take(&job.config.out, "cosurf-agent run")?;
     let board = StatusBoard::new(job.config.steps);
     let mut progress = Progress::new(args.json).with_board(&board);
-    let begun_with = if *fresh { None } else { choice::begun_with(&job.config.out) };
-    let reporter = job.connect(begun_with, &board, &mut progress)?;
-    let flight = job.flight()?;
-    let reporter = job.announce(flight.as_deref(), reporter);
-    train::train(&job.plan, &job.config.out, *fresh, &mut progress)?;
-    let model = LocalModel::read(&job.config.out)?;
-    job.publish(&model, flight.as_deref(), (&board, reporter), &mut progress)?;
-    if job.config.wait_global {
-        let global = global_ply(&job.config.out);
-        job.compare(&model, ComparedWith::Global, &global, &mut progress)?;
+    let Some(folder) = watch else { return job.fly(*fresh, &board, &mut progress) };
+    let watched = Watched::open(folder, &job.config.out)?;
+    loop {
+        let (arrival, data) = job.await_pictures(&watched, *origin, &board, &mut progress)?;
+        job.plan = TrainPlan { data, ..train_plan(&job.config) };
+        job.fly(false, &board, &mut progress)?;
+        watched.finish(arrival)?;
     }
-    Ok(())
 }
 
 /// A configuration that has been checked, with the plan for the training and the content of the key files.
@@ -141,6 +149,42 @@ impl Job {
         let device = config.device.map_or_else(host::device, Ok).with_context(named)?;
         let route = Route::of(&config, device).with_context(named)?;
         Ok(Self { plan: train_plan(&config), device, credentials, route, started: Instant::now(), config })
+    }
+
+    /// Trains on the pictures of one flight, sends the model, and compares it with the global one.
+    fn fly(&mut self, fresh: bool, board: &StatusBoard, progress: &mut Progress) -> Result<()> {
+        let begun_with = if fresh { None } else { choice::begun_with(&self.config.out) };
+        let reporter = self.connect(begun_with, board, progress)?;
+        let flight = self.flight()?;
+        let reporter = self.announce(flight.as_deref(), reporter);
+        train::train(&self.plan, &self.config.out, fresh, progress)?;
+        let model = LocalModel::read(&self.config.out)?;
+        self.publish(&model, flight.as_deref(), (board, reporter), progress)?;
+        if self.config.wait_global {
+            let global = global_ply(&self.config.out);
+            self.compare(&model, ComparedWith::Global, &global, progress)?;
+        }
+        Ok(())
+    }
+
+    /// Waits for the pictures of the next flight, and returns it with the folder of its dataset. Tells meanwhile that the
+    /// agent waits, except on a radio.
+    fn await_pictures(
+        &self,
+        watched: &Watched,
+        origin: Option<Geodetic>,
+        board: &StatusBoard,
+        progress: &mut Progress,
+    ) -> Result<(Arrival, PathBuf)> {
+        progress.show(&AgentEvent::Watching { folder: watched.folder().to_owned() });
+        let identity = self.identity()?;
+        let _reporter = (!self.route.is_radio()).then(|| {
+            let connection = self.route.connect_reporting(identity, self.credentials.key.as_ref());
+            Reporter::start(identity, self.credentials.clone(), connection, Some(board), false, progress).0
+        });
+        let arrival = watched.wait()?;
+        let data = watched.begin(&arrival, origin, self.config.max_size_px, progress)?;
+        Ok((arrival, data))
     }
 
     /// Monotonic time since an arbitrary moment in the past.

@@ -80,6 +80,7 @@ impl Status {
             }
             AgentEvent::ViewsChosen { .. }
             | AgentEvent::Ready { .. }
+            | AgentEvent::Watching { .. }
             | AgentEvent::DeviceLost { .. }
             | AgentEvent::Preparing { .. }
             | AgentEvent::Ingesting { .. }

@@ -25,6 +25,11 @@ pub enum AgentEvent {
         #[serde(default, skip_serializing_if = "std::ops::Not::not")]
         resumed: bool,
     },
+    /// The agent waits until pictures have arrived in a folder, and are complete.
+    Watching {
+        /// The folder.
+        folder: PathBuf,
+    },
     /// Progress of making a dataset from photographs.
     Ingesting {
         /// What is being done.

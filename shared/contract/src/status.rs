@@ -71,7 +71,8 @@ pub enum AgentPhase {
     Preparing,
     /// Sends its model.
     Uploading,
-    /// Waits for the global model. The aggregator has stored the agent's model.
+    /// Waits: for pictures in the folder that it watches, or, once the aggregator has stored the agent's model, for the
+    /// global model.
     Waiting,
     /// Has finished.
     Done,
@@ -124,7 +125,11 @@ impl AgentStatus {
             self.problem = Some(reason.chars().take(PROBLEM_CHARS_MAX).collect());
         }
         match event {
+            AgentEvent::Watching { .. } => {
+                (self.phase, self.problem, self.seconds_left) = (AgentPhase::Waiting, None, None);
+            }
             AgentEvent::ViewsChosen { by, pictures, .. } => {
+                self.phase = AgentPhase::Loading;
                 self.cell_pictures = (*by == ChosenBy::Cell).then_some(*pictures);
             }
             AgentEvent::Started { splats, steps, resumed_at, .. } => {
@@ -153,11 +158,11 @@ impl AgentStatus {
                 (self.phase, self.problem, self.seconds_left) = (AgentPhase::Waiting, None, None);
                 self.bytes_sent = *bytes_sent;
             }
+            AgentEvent::Ingesting { .. } => self.phase = AgentPhase::Loading,
             AgentEvent::GlobalReceived { .. } => self.problem = None,
             AgentEvent::DeviceLost { .. }
             | AgentEvent::CheckpointSetAside { .. }
             | AgentEvent::Ready { .. }
-            | AgentEvent::Ingesting { .. }
             | AgentEvent::LeftOut { .. }
             | AgentEvent::Ingested { .. }
             | AgentEvent::Retrying { .. }
@@ -180,6 +185,9 @@ mod tests {
         for (by, pictures) in [(ChosenBy::Cell, Some(10)), (ChosenBy::NoCell, None)] {
             assert!(!status.follow(&chosen(by)) && status.cell_pictures == pictures);
         }
+        assert!(status.follow(&AgentEvent::Watching { folder: "flights".into() }));
+        assert_eq!(serde_json::to_value(&status).unwrap()["phase"], "waiting");
+        assert!(status.follow(&chosen(ChosenBy::NoPlan)) && status.phase == AgentPhase::Loading);
         let started = AgentEvent::Started { views: 9, held_out: 1, splats: 100, steps: 300, resumed_at: 20 };
         assert!(status.follow(&started) && status.phase == AgentPhase::Training && status.step == 20);
         let retrying = AgentEvent::Retrying { reason: "\u{1F4A5}".repeat(9000), attempt: 1 };

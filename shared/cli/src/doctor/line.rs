@@ -25,7 +25,8 @@ pub fn check(name: &'static str, to: &str, silence: Silence, transport: &mut imp
         match transport.poll(left) {
             Some(TransportEvent::Connected) => return Finding::ok(name, format!("{to}: connected")),
             Some(TransportEvent::Disconnected { reason, .. } | TransportEvent::Denied { reason }) => {
-                return Finding::failed(name, reason);
+                let remedy = "check the address, and that the other end runs and lets this one in";
+                return Finding::mend(name, reason, remedy);
             }
             Some(TransportEvent::Incoming { .. }) | None => {}
         }
@@ -66,9 +67,7 @@ mod tests {
         assert_eq!(connected, Finding::ok("broker", "mqtt://h:1: connected"));
         let reason = "mqtt://h:1: connection refused".to_owned();
         let lost = TransportEvent::Disconnected { attempt: 1, reason: reason.clone() };
-        assert_eq!(
-            check("broker", "", Silence::Possible, &mut Once(Some(lost))),
-            Finding::failed("broker", reason)
-        );
+        let finding = check("broker", "", Silence::Possible, &mut Once(Some(lost)));
+        assert!(finding.is_fault() && finding.to_string().contains(&reason), "{finding}");
     }
 }
