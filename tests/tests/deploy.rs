@@ -57,6 +57,11 @@ fn kubernetes_accepts_its_file() {
     check(&validator, "kubernetes.yaml", "replicas: 1", "replicas: one");
 }
 
+#[test]
+fn hadolint_accepts_the_image_file() {
+    check(&["hadolint"], "Dockerfile", "WORKDIR /cosurf", "WORKDIR cosurf");
+}
+
 /// The commands of our programs in a file. They are written as arrays of JSON, which YAML allows.
 fn commands(text: &str) -> Vec<Vec<String>> {
     let arrays = text.lines().filter_map(|line| line.trim().strip_prefix("command: "));
