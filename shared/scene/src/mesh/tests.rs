@@ -200,7 +200,7 @@ fn the_worlds_z_axis_is_up_in_gltf() {
 fn unknown_extensions_and_empty_glb_files_are_refused() {
     let folder = tempfile::tempdir().unwrap();
     let refuse = |mesh: &Mesh, name: &str| mesh.write(&folder.path().join(name)).unwrap_err().to_string();
-    assert!(refuse(&corner(), "a.obj").contains(".ply or .glb"));
+    assert!(refuse(&corner(), "a.stl").contains(".ply, .glb or .obj"));
     assert!(refuse(&Mesh::default(), "a.glb").contains("needs triangles"));
 }
 

@@ -46,7 +46,8 @@ fn files_by_hand_are_read_as_the_format_says() {
     assert!(near(&splats.means[0], &[-1.0, 1.0, 3.0]), "{:?}", splats.means);
     assert!(near(&splats.log_scales[0], &[0.0, -8.0, -8.0]), "{:?}", splats.log_scales);
     // The largest component is the third, y; w is the first of the others and at its most, the root of a half.
-    assert!(near(&splats.quats[0], &[0.7071, 0.0, 0.7071, 0.0]), "{:?}", splats.quats);
+    let half = 0.5f32.sqrt();
+    assert!(near(&splats.quats[0], &[half, 0.0, half, 0.0]), "{:?}", splats.quats);
     assert!(splats.opacity_logits[0] > 10.0, "{:?}", splats.opacity_logits);
     assert!(near(&splats.sh[..3], &[1.5 / SH_C0, -0.5 / SH_C0, (2.0 * 128.0 / 255.0 - 0.5) / SH_C0]));
     // The file has all of red first; splats have the colours of a coefficient together.
