@@ -57,6 +57,7 @@ pub mod ingest;
 pub mod outputs;
 pub mod pictures;
 pub mod publish;
+mod random_start;
 pub mod session;
 pub mod status;
 pub mod viewing;

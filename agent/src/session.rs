@@ -20,6 +20,7 @@ use glam::DVec3;
 use tracing::info_span;
 
 use crate::checkpoint::{Checkpoint, Fingerprint};
+use crate::random_start;
 use crate::warm_start::read_visible_splats;
 
 /// Degree of the spherical harmonics that the model stores for its colours.
@@ -73,9 +74,9 @@ pub struct TrainPlan {
     pub prune: Option<PruneSettings>,
     /// Whether to learn an exposure for each picture.
     pub exposure: bool,
-    /// A PLY of splats to start from, for example an earlier model of the ground in the pictures; `None` starts from
-    /// the sparse points of the dataset. If the dataset has no sparse points, the centres of these splats stand in for
-    /// them.
+    /// A file of splats, PLY or SPZ, to start from, for example an earlier model of the ground in the pictures; `None`
+    /// starts from the sparse points of the dataset, or from random ones. If the dataset has no sparse points, the centres
+    /// of these splats stand in for them.
     pub init: Option<PathBuf>,
     /// Whether the model will be merged with other models. If so, it gets more splats, and keeps splats that only one
     /// view observes.
@@ -125,22 +126,28 @@ pub struct Session {
     /// When pictures are shrunk.
     shrinking: Shrinking,
     given_up: Vec<String>,
+    notes: Vec<String>,
     fingerprint: Fingerprint,
     dropped_pairs: u64,
 }
 
 impl Session {
     /// Opens the dataset, plans the memory and allocates it. Training starts from `checkpoint` if there is one,
-    /// otherwise from [`TrainPlan::init`]. Fails if a file cannot be read, there is no training view, there is neither
-    /// a sparse point nor a splat to start from, the memory is too small, the device cannot be opened, or the
-    /// checkpoint is damaged or belongs to another training.
+    /// otherwise from [`TrainPlan::init`]. Fails if a file cannot be read, there is no training view, there is nothing to
+    /// start from (neither a sparse point nor a splat, and too little common ground for random points), the memory is too
+    /// small, the device cannot be opened, or the checkpoint is damaged or belongs to another training.
     pub fn start(plan: &TrainPlan, checkpoint: Option<Checkpoint>) -> Result<Self> {
         let _span = info_span!("prepare").entered();
-        let (dataset, stride) = open_dataset(plan)?;
+        let (mut dataset, stride) = open_dataset(plan)?;
+        let mut notes: Vec<String> = dataset
+            .take_smaller_pictures(plan.max_size_px)
+            .map(|folder| format!("{}: its smaller pictures suffice and are used", folder.display()))
+            .into_iter()
+            .collect();
         let (train, held_out) = split(&dataset, &plan.split)?;
         let data = dataset.subset(&train);
         let frame = LocalFrame::of(data.cameras_of_views());
-        let data = data.into_frame(&frame);
+        let mut data = data.into_frame(&frame);
         let in_frame = |view: &View| View { camera: frame.local_camera(&view.camera), ..view.clone() };
         let held_out: Vec<View> = held_out.into_iter().map(|i| in_frame(&dataset.views[i])).collect();
         drop(dataset);
@@ -153,11 +160,20 @@ impl Session {
             );
         }
         if data.points.is_empty() && plan.init.is_none() {
-            bail!(
-                "{}: the training views see no sparse point; training needs the sparse cloud of COLMAP or \
-                 `ply_file_path`, or a model to start from (`init`)",
-                plan.data.display()
-            );
+            let cameras: Vec<Camera> = data.cameras_of_views().copied().collect();
+            data.points = random_start::points(&cameras, plan.seed);
+            if data.points.is_empty() {
+                bail!(
+                    "{}: the training views see no sparse point, and too little of the same ground for random ones; add the \
+                     sparse cloud of COLMAP or `ply_file_path`, or a model to start from (`init`)",
+                    plan.data.display()
+                );
+            }
+            notes.push(format!(
+                "{}: no sparse points, so training starts from {} random ones",
+                plan.data.display(),
+                data.points.len()
+            ));
         }
         let (mut sizes, mut backend) = prepare(plan, &data)?;
         let mut given_up = std::mem::take(&mut sizes.budget.given_up);
@@ -213,6 +229,7 @@ impl Session {
             size_px: sizes.budget.capacity.size_px,
             shrinking,
             given_up,
+            notes,
             fingerprint,
             dropped_pairs: 0,
         })
@@ -282,6 +299,11 @@ impl Session {
     /// When the training pictures are shrunk; held-out ones must be shrunk alike to fit into the memory.
     pub fn shrinking(&self) -> Shrinking {
         self.shrinking
+    }
+
+    /// What the session chose by itself, one line of text each.
+    pub fn notes(&self) -> &[String] {
+        &self.notes
     }
 
     /// Ends the session, frees its memory and returns the model. Fails with [`DeviceLost`] if the device was lost.

@@ -27,7 +27,10 @@ pub(super) struct EvalArgs {
 }
 
 pub(super) fn run(args: &EvalArgs) -> Result<()> {
-    let (dataset, _) = Dataset::open_within(&args.data, 0)?;
+    let (mut dataset, _) = Dataset::open_within(&args.data, 0)?;
+    if let Some(folder) = dataset.take_smaller_pictures(args.common.max_size_px()) {
+        eprintln!("{}: its smaller pictures suffice and are used", folder.display());
+    }
     let frame = LocalFrame::of(dataset.cameras_of_views());
     let dataset = dataset.into_frame(&frame);
     let (_, held_out) = dataset.split(args.eval_every);

@@ -15,7 +15,7 @@ use cosurf_engine::{
     Backend, DeviceChoice, DeviceLost, PruneScore, PruneSettings, Renderer, SurfaceSettings,
 };
 use cosurf_scene::bytes::{format_bytes, parse_bytes};
-use cosurf_scene::{FolderLock, Splats, check_space, files, model};
+use cosurf_scene::{Dataset, FolderLock, Splats, check_space, files, model};
 use tracing::info_span;
 
 use super::arguments::{Common, DeviceArgs};
@@ -35,7 +35,7 @@ const CHECKPOINT_SHARE: f64 = 0.05;
 /// before it replaces the first; each has 59 parameters of a splat and two moments of each.
 const BYTES_PER_SPLAT: u64 = 2 * 59 * 3 * 4;
 
-/// Train a model from a dataset: COLMAP (`sparse/0` with `images`) or `transforms.json`.
+/// Train a model from a dataset: COLMAP (`sparse/0` with `images`), `transforms.json` or `reconstruction.json` of OpenSfM.
 ///
 /// Writes DIR/model.ply, DIR/cameras.json, DIR/report.json and DIR/checkpoint/. To resume after a stop or a kill,
 /// run the same command again.
@@ -144,6 +144,7 @@ pub(super) fn train(
     progress: &mut Progress,
 ) -> Result<TrainReport> {
     checkpoint::remove_partial(out)?;
+    Dataset::notes(&plan.data).iter().for_each(|note| eprintln!("{note}"));
     if let Some(note) = plan.init.as_deref().and_then(model::unusable_note) {
         eprintln!("{note}");
     }
@@ -207,6 +208,7 @@ fn train_on(
     let curve = found.as_ref().map(Checkpoint::curve).unwrap_or_default();
     let mut curve = GrowingCurve::on(curve, plan.steps);
     let mut session = Session::start(plan, found)?;
+    session.notes().iter().for_each(|note| eprintln!("{note}"));
     check_disk(&session, out)?;
     let (started, cpu_s) = (Instant::now(), usage::cpu_seconds());
     let spent = || Spent {

@@ -16,14 +16,46 @@ use std::io::{self, BufReader, Cursor};
 use std::path::{Path, PathBuf};
 
 use crate::sieve::Sieve;
-use crate::{Dataset, SceneError, View};
+use crate::{Dataset, SceneError, View, files};
 use model::Undistortion;
 pub use write::write;
 
-/// The folder that holds a model: `root` or a folder below it; `None` if there is no model.
+/// The folder that holds a model: `root` or a folder below it; `None` if there is no model. Of several in folders with
+/// numbers, as COLMAP writes them, the one with most pictures.
 pub(crate) fn find_model(root: &Path) -> Option<PathBuf> {
-    let candidates = [root.join("sparse").join("0"), root.join("sparse"), root.join("0"), root.to_owned()];
-    candidates.into_iter().find(|folder| is_binary(folder) || folder.join("cameras.txt").is_file())
+    [root.join("sparse"), root.to_owned()].into_iter().find_map(|folder| {
+        let best = numbered_models(&folder).into_iter().next().map(|(model, _)| model);
+        best.or_else(|| is_model(&folder).then_some(folder))
+    })
+}
+
+/// The models in folders of `folder` that have numbers for names, with their numbers of pictures; most pictures first.
+pub(crate) fn numbered_models(folder: &Path) -> Vec<(PathBuf, u64)> {
+    let number = |path: &Path| path.file_name()?.to_str()?.parse::<u32>().ok();
+    let entries = folder.read_dir().into_iter().flatten().flatten().map(|entry| entry.path());
+    let mut models: Vec<(u32, PathBuf)> =
+        entries.filter(|path| is_model(path)).filter_map(|path| Some((number(&path)?, path))).collect();
+    models.sort();
+    if let [(_, only)] = &models[..] {
+        return vec![(only.clone(), 0)]; // nothing to compare it with
+    }
+    let mut models: Vec<(PathBuf, u64)> =
+        models.into_iter().map(|(_, path)| (path.clone(), pictures_of(&path))).collect();
+    models.sort_by_key(|(_, pictures)| std::cmp::Reverse(*pictures));
+    models
+}
+
+fn is_model(folder: &Path) -> bool {
+    is_binary(folder) || folder.join("cameras.txt").is_file()
+}
+
+/// Number of pictures of a model; 0 if its file cannot be read, which reading the model tells.
+fn pictures_of(model: &Path) -> u64 {
+    let count = match is_binary(model) {
+        true => binary::count_images(&model.join("images.bin")),
+        false => text::count_images(&model.join("images.txt")),
+    };
+    count.unwrap_or(0)
 }
 
 fn is_binary(model: &Path) -> bool {
@@ -53,7 +85,7 @@ pub(crate) fn read(root: &Path, model: &Path, sieve: &mut Sieve) -> Result<Vec<V
     let holds_first = |folder: &&PathBuf| folder.join(first).is_file();
     let folder = folders.iter().chain([&beside]).find(holds_first).unwrap_or(likely).clone();
     for view in &mut views {
-        view.path = folder.join(&view.name);
+        view.path = files::in_any_case(folder.join(&view.name));
     }
     Ok(views)
 }

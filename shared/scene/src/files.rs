@@ -28,6 +28,18 @@ pub fn read(path: &Path) -> Result<Vec<u8>, SceneError> {
     Ok(bytes)
 }
 
+/// The path itself, or the file of that name whose extension is in upper or in lower case, if only that exists: `a.JPG` for
+/// `a.jpg`.
+pub(crate) fn in_any_case(path: PathBuf) -> PathBuf {
+    let Some(extension) = path.extension().and_then(|extension| extension.to_str()) else { return path };
+    if path.is_file() {
+        return path;
+    }
+    let others = [extension.to_ascii_uppercase(), extension.to_ascii_lowercase()];
+    let other = others.iter().map(|extension| path.with_extension(extension)).find(|path| path.is_file());
+    other.unwrap_or(path)
+}
+
 /// Whether an error means that the file itself is of no use: it is damaged, no file, or not ours to read. Other errors,
 /// such as too many open files, say nothing about the file.
 pub fn is_damage(error: &SceneError) -> bool {

@@ -1,7 +1,7 @@
 //! The data types of cosurf and the files that hold them.
 //!
 //! What it is: [`Splats`], [`Camera`], [`View`], [`Picture`], [`Dataset`], [`Mesh`], their files
-//! (COLMAP, `transforms.json`, PLY, SPZ, GLB, JPEG and PNG), picture quality ([`metrics`]), exact
+//! (COLMAP, `transforms.json`, OpenSfM, PLY, SPZ, GLB, OBJ, JPEG, PNG and others), picture quality ([`metrics`]), exact
 //! depth of triangle meshes ([`raycast`], which uses [`bvh`]), and the ground that views look at
 //! ([`footprint`], [`outline`]).
 //!
@@ -11,6 +11,7 @@
 //! Where to start reading: [`camera`] for the coordinate frames and pixel conventions of the whole
 //! workspace, then [`splats`], then [`dataset`].
 
+mod advice;
 pub mod atomic;
 mod base;
 pub mod bvh;
@@ -25,12 +26,14 @@ pub mod error;
 pub mod files;
 pub mod footprint;
 mod frustum;
+mod leftovers;
 mod loader;
 mod local_frame;
 mod lock;
 pub mod mesh;
 pub mod metrics;
 pub mod model;
+mod opensfm;
 pub mod outline;
 mod parts;
 pub mod picture;

@@ -4,18 +4,19 @@
 #[cfg(test)]
 mod tests;
 
-use std::path::{Component, Path};
+use std::path::{Component, Path, PathBuf};
 
 use crate::sieve::Sieve;
-use crate::{Camera, Dataset, Picture, SceneError, View, camera_list, colmap, transforms};
+use crate::{
+    Camera, Dataset, Picture, SceneError, View, advice, camera_list, colmap, files, leftovers, opensfm,
+    transforms,
+};
 
-/// Entries of a folder that are looked at for pictures.
-const ENTRIES_MAX: usize = 1000;
 /// Reason in the error for a dataset without views.
 const NO_VIEWS: &str = "has no pictures with poses";
 
 impl Dataset {
-    /// Opens a COLMAP model or a `transforms.json`. For a `transforms.json`, `path` is the file or its
+    /// Opens a COLMAP model, a `transforms.json` or a `reconstruction.json` of OpenSfM. For the latter two, `path` is the file or its
     /// folder. For a COLMAP model, `path` is the model's folder, or a folder with the model in
     /// `sparse/0`, `sparse` or `0`. COLMAP's pictures are in `path/images`, in a folder `images`
     /// beside the model's folder or one level further up, or in `path` itself.
@@ -63,11 +64,28 @@ impl Dataset {
         Ok(cameras)
     }
 
+    /// What is in a dataset and is not used, or may not be as the user thinks, a line for each. Nothing if the dataset cannot
+    /// be read: opening it tells why.
+    pub fn notes(path: &Path) -> Vec<String> {
+        let first = read(path, 0).ok().and_then(|(dataset, _)| dataset.views.into_iter().next());
+        leftovers::of(path, first.as_ref())
+    }
+
+    /// Takes the pictures from a folder beside theirs that has smaller ones, `images_2`, `images_4` or `images_8`, if it has
+    /// all of them, and they are at least as large as pictures with a long side of `long_side_px`. Returns the folder.
+    pub fn take_smaller_pictures(&mut self, long_side_px: u32) -> Option<PathBuf> {
+        let (views, folder) = smaller_pictures(&self.views, long_side_px)?;
+        self.views = views;
+        Some(folder)
+    }
+
     /// Whether a path is a folder of photographs, directly or in `images`, without any file of poses.
     pub fn is_without_poses(path: &Path) -> bool {
         let has_poses = colmap::find_model(path).is_some()
-            || ["transforms.json", camera_list::FILE].into_iter().any(|file| path.join(file).is_file());
-        !has_poses && (has_pictures(path) || has_pictures(&path.join("images")))
+            || ["transforms.json", opensfm::FILE, camera_list::FILE]
+                .into_iter()
+                .any(|file| path.join(file).is_file());
+        !has_poses && (advice::has_pictures(path) || advice::has_pictures(&path.join("images")))
     }
 }
 
@@ -103,8 +121,14 @@ fn read_into(sieve: &mut Sieve, path: &Path) -> Result<Vec<View>, SceneError> {
     if path.is_file() && path.file_name().is_some_and(|name| name == camera_list::FILE) {
         return camera_list::read_views(path);
     }
+    if path.is_file() && path.file_name().is_some_and(|name| name == opensfm::FILE) {
+        return opensfm::read(path, sieve);
+    }
     if path.is_file() {
-        return transforms::read(path, sieve);
+        return match advice::for_file(path) {
+            Some(advice) => Err(SceneError::malformed(path, advice)),
+            None => transforms::read(path, sieve),
+        };
     }
     if let Some(model) = colmap::find_model(path) {
         return colmap::read(path, &model, sieve);
@@ -113,36 +137,15 @@ fn read_into(sieve: &mut Sieve, path: &Path) -> Result<Vec<View>, SceneError> {
     if file.is_file() {
         return transforms::read(&file, sieve);
     }
+    let file = path.join(opensfm::FILE);
+    if file.is_file() {
+        return opensfm::read(&file, sieve);
+    }
     let list = path.join(camera_list::FILE);
     if list.is_file() {
         return camera_list::read_views(&list);
     }
-    Err(SceneError::malformed(path, no_dataset(path)))
-}
-
-/// Why a path is no dataset, and what to do about it.
-fn no_dataset(path: &Path) -> String {
-    if !path.is_dir() {
-        return "there is no such folder".into();
-    }
-    if Dataset::is_without_poses(path) {
-        return format!(
-            "holds photographs without poses; run `cosurf-agent ingest {} --out DATA`, then give DATA",
-            path.display()
-        );
-    }
-    "holds no dataset; give a folder with images/ and either sparse/0/cameras.bin (COLMAP) or transforms.json"
-        .into()
-}
-
-/// Whether some of a folder's first entries are pictures by their names.
-fn has_pictures(folder: &Path) -> bool {
-    let entries = folder.read_dir().into_iter().flatten().take(ENTRIES_MAX).flatten();
-    let is_picture = |path: &Path| {
-        let ends = |known: &str| path.extension().is_some_and(|end| end.eq_ignore_ascii_case(known));
-        ["jpg", "jpeg", "png"].into_iter().any(ends)
-    };
-    entries.map(|entry| entry.path()).any(|path| is_picture(&path))
+    Err(SceneError::malformed(path, advice::for_folder(path)))
 }
 
 /// Removes components such as `..` from a picture's name, so that a result file named after the
@@ -171,6 +174,37 @@ fn sort(dataset: &mut Dataset) {
     }
 }
 
+/// Factors of the folders of smaller pictures, as 3DGS datasets name them.
+const SHRUNK: [u32; 3] = [8, 4, 2];
+
+/// The views with the smallest pictures that suffice, and the folder of these pictures; `None` if there are no smaller ones.
+fn smaller_pictures(views: &[View], long_side_px: u32) -> Option<(Vec<View>, PathBuf)> {
+    let long = |camera: &Camera| camera.size_px[0].max(camera.size_px[1]);
+    SHRUNK.into_iter().find_map(|factor| {
+        let mut folder = None;
+        let shrunk = views.iter().map(|view| {
+            let path = in_shrunk_folder(view, factor)?;
+            let wanted = long(&view.camera).min(long_side_px);
+            let mut view = View { path, ..view.clone() };
+            fit_camera(&mut view).ok()?;
+            folder.get_or_insert_with(|| view.path.parent().unwrap_or(Path::new("")).to_owned());
+            (long(&view.camera) >= wanted).then_some(view)
+        });
+        Some((shrunk.collect::<Option<Vec<View>>>()?, folder?))
+    })
+}
+
+/// The picture of a view in the folder `images_N`; `None` if it is not there.
+fn in_shrunk_folder(view: &View, factor: u32) -> Option<PathBuf> {
+    let images = view.path.ancestors().find(|folder| folder.ends_with("images"))?;
+    let inner = view.path.strip_prefix(images).ok()?;
+    let path = images.with_file_name(format!("images_{factor}")).join(inner);
+    let path = files::in_any_case(path);
+    // Tools that shrink pictures often write them as PNG.
+    let png = path.with_extension("png");
+    [path, png].into_iter().find(|path| path.is_file())
+}
+
 fn refuse_missing(views: &[View]) -> Result<(), SceneError> {
     let mut missing = views.iter().filter(|view| !view.path.is_file());
     let Some(first) = missing.next() else { return Ok(()) };
@@ -193,8 +227,14 @@ fn fit_camera(view: &mut View) -> Result<(), SceneError> {
     let same_aspect = (w * height / width - h).abs() <= 1.0 || (h * width / height - w).abs() <= 1.0;
     if !same_aspect {
         let [width, height] = view.camera.size_px;
+        let remedy = match Picture::orientation(&view.path) {
+            Some(5..=8) => {
+                "its EXIF orientation turns it on its side, which is not applied: turn the file, for example with `mogrify -auto-orient`"
+            }
+            _ => "use the picture that belongs to the camera",
+        };
         let reason = format!(
-            "has {found_width} × {found_height} pixels, but its camera has {width} × {height}, another aspect ratio; use the picture that belongs to the camera"
+            "has {found_width} × {found_height} pixels, but its camera has {width} × {height}, another aspect ratio; {remedy}"
         );
         return Err(SceneError::malformed(&view.path, reason));
     }

@@ -1,4 +1,4 @@
-//! 8-bit colour pictures in memory, and their JPEG and PNG files.
+//! 8-bit colour pictures in memory, and their files.
 
 mod files;
 mod header;
@@ -19,7 +19,7 @@ pub(crate) use pixels::bytes_of;
 pub use shrinking::Shrinking;
 
 impl Picture {
-    /// Decodes a JPEG or PNG file. Alpha is composited over black, channels of 16 bits are reduced to 8,
+    /// Decodes a JPEG, PNG, WebP, TIFF or BMP file. Alpha is composited over black, channels of 16 bits are reduced to 8,
     /// and grey becomes RGB. Orientation tags are ignored, as in COLMAP, whose cameras describe the
     /// pixels as they are stored. Errors: a file that is empty, cut short or damaged.
     pub fn read(path: &Path) -> Result<Self, SceneError> {
@@ -39,6 +39,12 @@ impl Picture {
     /// Width and height from the file's header; the pixels are not decoded.
     pub fn size_of(path: &Path) -> Result<[u32; 2], SceneError> {
         Ok(PictureHeader::read(path)?.size_px)
+    }
+
+    /// The EXIF orientation, 1 to 8; `None` if the file cannot be read. 1 and missing tags mean that the rows are stored as
+    /// they are shown.
+    pub fn orientation(path: &Path) -> Option<u8> {
+        files::orientation(path)
     }
 
     /// As [`Self::size_of`], with an error if the file was cut short. The pixels are not decoded.

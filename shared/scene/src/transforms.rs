@@ -13,7 +13,7 @@ use serde::Deserialize;
 
 use crate::error::Refusal;
 use crate::sieve::Sieve;
-use crate::{Camera, Picture, Pose, SceneError, View, ply};
+use crate::{Camera, Picture, Pose, SceneError, View, files, ply};
 
 /// Longest accepted file, bytes; 10,000 frames take about 10 MB.
 const FILE_BYTES_MAX: u64 = 1 << 28;
@@ -24,7 +24,7 @@ const ROTATION_TOLERANCE: f64 = 1e-3;
 
 /// Extensions to append if `file_path` names no file: the files of instant-ngp leave the extension
 /// out.
-const EXTENSIONS: [&str; 5] = ["png", "jpg", "jpeg", "JPG", "PNG"];
+const EXTENSIONS: [&str; 9] = ["png", "jpg", "jpeg", "webp", "tif", "tiff", "bmp", "JPG", "PNG"];
 
 #[derive(Deserialize)]
 struct Transforms {
@@ -106,7 +106,7 @@ fn view_of(folder: &Path, shared: &Intrinsics, frame: &Frame) -> Result<View, Re
 /// The path of a frame's picture. If no such file exists, appends the first of [`EXTENSIONS`] that gives
 /// an existing file, or nothing if none does.
 fn picture_path(folder: &Path, file_path: &str) -> PathBuf {
-    let path = folder.join(file_path);
+    let path = files::in_any_case(folder.join(file_path));
     if path.is_file() {
         return path;
     }

@@ -1,4 +1,4 @@
-//! Fuzzes the readers of files that users provide: PLY, SPZ, COLMAP and transforms.json.
+//! Fuzzes the readers of files that users provide: PLY, SPZ, COLMAP, transforms.json and reconstruction.json.
 
 use std::fs;
 use std::io::{Read, Write};
@@ -217,6 +217,23 @@ fn transforms_are_read_or_refused() {
     let folder = folder();
     let path = folder.path().join("transforms.json");
     hammer(target("transforms.json", vec![text.to_vec()]), |bytes| {
+        fs::write(&path, bytes).unwrap();
+        Dataset::cameras(&path).is_ok()
+    });
+}
+
+#[test]
+fn reconstructions_of_opensfm_are_read_or_refused() {
+    let text = br#"[{"cameras": {"v2": {"projection_type": "brown", "width": 64, "height": 48, "focal_x": 0.8, "focal_y": 0.8,
+"c_x": 0.1, "c_y": 0.0, "k1": 0.0, "k2": 0.0, "p1": 0.0, "p2": 0.0, "k3": 0.0}}, "shots": {"a.jpg": {"camera": "v2",
+"rotation": [0.1, 0.2, 3.0], "translation": [1, 2, 3]}}, "points": {"1": {"coordinates": [1, 2, 3], "color": [1, 2, 3]}}}]"#;
+    let folder = folder();
+    let path = folder.path().join("reconstruction.json");
+    let limits = Target {
+        bytes_max: |bytes| (1 << 20) + 200 * bytes,
+        ..target("reconstruction.json", vec![text.to_vec()])
+    };
+    hammer(limits, |bytes| {
         fs::write(&path, bytes).unwrap();
         Dataset::cameras(&path).is_ok()
     });

@@ -83,7 +83,10 @@ fn read_camera<R: BufRead + Seek>(
     };
     let params = match model {
         "SIMPLE_PINHOLE" => input.f64s::<3>()?.to_vec(),
-        "PINHOLE" => input.f64s::<4>()?.to_vec(),
+        "PINHOLE" | "SIMPLE_RADIAL" => input.f64s::<4>()?.to_vec(),
+        "RADIAL" => input.f64s::<5>()?.to_vec(),
+        "OPENCV" => input.f64s::<8>()?.to_vec(),
+        "FULL_OPENCV" => input.f64s::<12>()?.to_vec(),
         _ => Vec::new(),
     };
     out.add_camera(id, Intrinsics::new(model, size_px, &params, undistortion)?)
@@ -207,4 +210,10 @@ impl<R: BufRead + Seek> Input<R> {
         }
         String::from_utf8(name).map_err(|_| "its name is not UTF-8".into())
     }
+}
+/// Number of records that an `images.bin` tells; `None` if it cannot be read.
+pub(super) fn count_images(path: &Path) -> Option<u64> {
+    let mut bytes = [0; 8];
+    std::fs::File::open(path).ok()?.read_exact(&mut bytes).ok()?;
+    Some(u64::from_le_bytes(bytes))
 }

@@ -54,7 +54,7 @@ pub(super) struct Intrinsics {
 
 impl Intrinsics {
     /// Intrinsics from the name and the parameters of a COLMAP camera model. Errors: a model other
-    /// than the two pinhole models; a size, focal length or centre that is invalid or not finite.
+    /// than the two pinhole models with a distortion that is not 0; a size, focal length or centre that is invalid or not finite.
     pub(super) fn new(
         model: &str,
         size_px: [u64; 2],
@@ -67,6 +67,13 @@ impl Intrinsics {
             ("SIMPLE_PINHOLE" | "PINHOLE", _) => {
                 return Err(format!("{model} with {} parameters", params.len()).into());
             }
+            // A lens without distortion is a pinhole. The parameters of these models begin alike.
+            ("SIMPLE_RADIAL" | "RADIAL", &[f, cx, cy, ref distortion @ ..]) if is_zero(distortion) => {
+                (DVec2::splat(f), DVec2::new(cx, cy))
+            }
+            ("OPENCV" | "FULL_OPENCV", &[fx, fy, cx, cy, ref distortion @ ..]) if is_zero(distortion) => {
+                (DVec2::new(fx, fy), DVec2::new(cx, cy))
+            }
             _ => return Err(refuse_distortion(model, undistortion)),
         };
         if size_px.iter().any(|side| !(1..=SIDE_PX_MAX).contains(side)) {
@@ -77,6 +84,10 @@ impl Intrinsics {
         }
         Ok(Self { focal_px, center_px, size_px: size_px.map(|side| side as u32) })
     }
+}
+
+fn is_zero(distortion: &[f64]) -> bool {
+    distortion.iter().all(|value| *value == 0.0)
 }
 
 /// The error for a camera model other than the two pinhole models.

@@ -182,6 +182,23 @@ fn a_distorted_camera_is_refused_with_its_remedy() {
     }
 }
 
+/// Of `SIMPLE_RADIAL`, `RADIAL`, `OPENCV` and `FULL_OPENCV`, by COLMAP's `models.h`.
+#[test]
+fn lenses_without_distortion_are_pinholes() {
+    let root = tempfile::tempdir().unwrap();
+    for (line, focal_y) in [
+        ("1 SIMPLE_RADIAL 8 6 9 4 3 0", 9.0),
+        ("1 RADIAL 8 6 9 4 3 0 0", 9.0),
+        ("1 OPENCV 8 6 9 10 4 3 0 0 0 -0", 10.0),
+        ("1 FULL_OPENCV 8 6 9 10 4 3 0 0 0 0 0 0 0 0", 10.0),
+    ] {
+        write_text(root.path(), &format!("{line}\n"), "1 1 0 0 0 0 0 0 1 a.png\n\n", "");
+        let camera = Dataset::cameras(root.path()).unwrap()[0];
+        assert_eq!(camera.focal_px.to_array(), [9.0, focal_y], "{line}");
+        assert_eq!(camera.center_px.to_array(), [4.0, 3.0], "{line}");
+    }
+}
+
 #[test]
 fn invalid_text_is_refused_with_a_reason() {
     let root = tempfile::tempdir().unwrap();

@@ -2,7 +2,8 @@
 //! skipped. In `images.txt` each record is followed by a line of 2D points, which may be blank; it
 //! is skipped too.
 
-use std::io::{self, BufRead, Read};
+use std::fs::File;
+use std::io::{self, BufRead, BufReader, Read};
 use std::path::Path;
 use std::str::{FromStr, SplitAsciiWhitespace};
 
@@ -33,6 +34,18 @@ pub(super) fn read<R: BufRead>(
         file => each_record(file?, false, |record| read_point(record, &mut out)),
     })?;
     Ok(out.end())
+}
+
+/// Number of records of an `images.txt`; `None` if it cannot be read.
+pub(super) fn count_images(path: &Path) -> Option<u64> {
+    let mut count = 0;
+    let file = BufReader::new(File::open(path).ok()?);
+    each_record(file, true, |_| {
+        count += 1;
+        Ok(())
+    })
+    .ok()?;
+    Some(count)
 }
 
 /// Calls `read` with the line of each record. With `skip_next`, skips the line after each record.

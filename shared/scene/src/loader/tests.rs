@@ -272,3 +272,106 @@ fn photographs_without_poses_are_told_what_comes_first() {
         assert!(error().contains(&command), "{}", error());
     }
 }
+
+#[test]
+fn of_several_models_that_with_most_pictures_is_read_and_the_others_are_told() {
+    let root = tempfile::tempdir().unwrap();
+    let dataset = made_up(root.path());
+    let sparse = root.path().join("sparse");
+    assert_eq!(Dataset::notes(root.path()), [""; 0]);
+    fs::rename(sparse.join("0"), sparse.join("1")).unwrap();
+    let part = Dataset { views: dataset.views[..1].to_vec(), points: Vec::new() };
+    colmap::write(root.path(), &part).unwrap();
+    assert_eq!(Dataset::open(root.path()).unwrap().views.len(), 3);
+    let notes = Dataset::notes(root.path());
+    assert_eq!(notes.len(), 1);
+    assert!(
+        notes[0].contains("sparse/1: used, with 3 pictures") && notes[0].contains("sparse/0 (1)"),
+        "{notes:?}"
+    );
+}
+
+#[test]
+fn smaller_pictures_are_taken_if_they_suffice() {
+    let root = tempfile::tempdir().unwrap();
+    made_up(root.path());
+    let small = root.path().join("images_2");
+    fs::create_dir(&small).unwrap();
+    let open = || Dataset::open(root.path()).unwrap();
+    for i in 0..2 {
+        Picture::new([4, 3], vec![9; 36]).write_png(&small.join(format!("{i}.png"))).unwrap();
+    }
+    assert_eq!(open().take_smaller_pictures(4), None, "one is missing");
+    Picture::new([4, 3], vec![9; 36]).write_png(&small.join("2.png")).unwrap();
+    assert_eq!(open().take_smaller_pictures(5), None, "they are too small");
+    let mut dataset = open();
+    assert_eq!(dataset.take_smaller_pictures(4), Some(small.clone()));
+    assert_eq!((dataset.views[1].camera.size_px, &dataset.views[1].path), ([4, 3], &small.join("1.png")));
+    assert_eq!(dataset.views[1].camera.focal_px, DVec2::splat(4.0));
+}
+
+#[test]
+fn pictures_with_an_extension_in_capitals_are_found() {
+    let root = tempfile::tempdir().unwrap();
+    made_up(root.path());
+    let images = root.path().join("images");
+    fs::rename(images.join("1.png"), images.join("1.PNG")).unwrap();
+    assert_eq!(Dataset::open(root.path()).unwrap().views[1].path, images.join("1.PNG"));
+}
+
+#[test]
+fn what_is_not_used_is_told_in_a_line_each() {
+    let root = tempfile::tempdir().unwrap();
+    let text = r#"{"w": 8, "h": 6, "fl_x": 8, "train_filenames": ["a.png"], "frames": [{"file_path": "a.png",
+        "mask_path": "m.png", "depth_file_path": "d.png", "transform_matrix": [[1,0,0,0],[0,1,0,0],[0,0,1,0]]}]}"#;
+    fs::write(root.path().join("transforms.json"), text).unwrap();
+    fs::create_dir(root.path().join("masks")).unwrap();
+    let notes = Dataset::notes(root.path());
+    for (note, word) in notes.iter().zip(["masks are not", "mask_path", "depth_file_path", "train_filenames"])
+    {
+        assert!(note.contains(word) && note.lines().count() == 1, "{note}");
+    }
+    assert_eq!(notes.len(), 4, "{notes:?}");
+}
+
+#[test]
+fn pictures_that_exif_turns_are_told() {
+    let root = tempfile::tempdir().unwrap();
+    made_up(root.path());
+    // EXIF in the format of TIFF: little-endian, one entry, the tag 0x112 (orientation) with the short 6.
+    let exif = b"II*\0\x08\0\0\0\x01\0\x12\x01\x03\0\x01\0\0\0\x06\0\0\0\0\0\0\0";
+    let path = root.path().join("images/0.png");
+    fs::remove_file(&path).unwrap();
+    Picture::new([8, 6], vec![9; 144]).write_photograph(&path, 90, exif.to_vec()).unwrap();
+    let notes = Dataset::notes(root.path());
+    assert!(notes.len() == 1 && notes[0].contains("EXIF orientation 6"), "{notes:?}");
+    Picture::new([6, 8], vec![9; 144]).write_photograph(&path, 90, exif.to_vec()).unwrap();
+    assert!(complaint(root.path()).contains("mogrify"));
+}
+
+#[test]
+fn other_things_than_datasets_are_told_what_comes_next() {
+    let root = tempfile::tempdir().unwrap();
+    let at = |name: &str| {
+        let path = root.path().join(name);
+        fs::write(&path, "x").unwrap();
+        path
+    };
+    for (name, word) in [
+        ("flight.MP4", "ffmpeg"),
+        ("data.zip", "unpack"),
+        ("photo.jpg", "give the folder"),
+        ("cameras.xml", "export them as COLMAP"),
+        ("poses.csv", "export them as COLMAP"),
+    ] {
+        let path = at(name);
+        assert!(complaint(&path).contains(word), "{name}: {}", complaint(&path));
+        fs::remove_file(path).unwrap();
+    }
+    at("flight.mp4");
+    assert!(complaint(root.path()).contains("flight.mp4 is a video"));
+    at("cameras.xml");
+    assert!(complaint(root.path()).contains("Metashape"));
+    fs::create_dir(root.path().join("opensfm")).unwrap();
+    assert!(complaint(root.path()).contains("opensfm undistort"));
+}

@@ -1,4 +1,4 @@
-//! Reads and writes pictures as JPEG and PNG files.
+//! Reads picture files, and writes JPEG and PNG.
 
 use std::fs::File;
 use std::io::{self, BufRead, BufReader, Seek, SeekFrom};
@@ -6,7 +6,9 @@ use std::path::Path;
 
 use image::codecs::jpeg::JpegEncoder;
 use image::codecs::png::PngEncoder;
-use image::{DynamicImage, ExtendedColorType, ImageEncoder, ImageError, ImageFormat, ImageReader, Limits};
+use image::{
+    DynamicImage, ExtendedColorType, ImageDecoder, ImageEncoder, ImageError, ImageFormat, ImageReader, Limits,
+};
 
 use super::header::{PictureHeader, Way};
 use super::pixels::Picture;
@@ -15,7 +17,7 @@ use super::shrinking::Shrinking;
 use super::{png_rows, scaled};
 use crate::{SceneError, atomic};
 
-/// Decodes a JPEG or PNG file to RGB. Errors: a file that is empty, cut short or damaged.
+/// Decodes a file to RGB. Errors: a file that is empty, cut short or damaged.
 pub(super) fn read(path: &Path) -> Result<Picture, SceneError> {
     read_whole(path, &PictureHeader::read(path)?)
 }
@@ -73,9 +75,18 @@ pub(super) fn size_of_whole(path: &Path) -> Result<[u32; 2], SceneError> {
     let file = File::open(path).map(BufReader::new).map_err(|cause| SceneError::io(path, cause))?;
     let is_whole = match header.format {
         ImageFormat::Jpeg => has_end(file, header.data_offset),
-        _ => has_png_end(file),
+        ImageFormat::Png => has_png_end(file),
+        _ => Ok(true), // these formats have no mark at their end
     };
     if is_whole.unwrap_or(false) { Ok(header.size_px) } else { Err(cut_short(path)) }
+}
+
+/// The EXIF orientation, 1 to 8; `None` if the file cannot be read.
+pub(super) fn orientation(path: &Path) -> Option<u8> {
+    let header = PictureHeader::read(path).ok()?;
+    let file = File::open(path).map(BufReader::new).ok()?;
+    let mut decoder = ImageReader::with_format(file, header.format).into_decoder().ok()?;
+    Some(decoder.orientation().ok()?.to_exif())
 }
 
 /// Whether a PNG ends with its last chunk: the name IEND and a checksum.

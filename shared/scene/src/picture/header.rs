@@ -1,12 +1,12 @@
-//! Reads the headers of JPEG and PNG files: the picture's size, and a bound on the memory for decoding
-//! it. Only a few hundred bytes are read per file, so thousands of pictures are checked quickly. A
+//! Reads the headers of picture files: the picture's size, and a bound on the memory for decoding
+//! it. Only a few hundred bytes are read of a JPEG or PNG, so thousands of pictures are checked quickly. A
 //! forged size is refused before anything is allocated.
 
 use std::fs::File;
 use std::io::{self, BufRead, BufReader, Read, Seek};
 use std::path::Path;
 
-use image::ImageFormat;
+use image::{ColorType, ImageDecoder, ImageFormat, ImageReader};
 
 use super::scaled;
 use super::shrinking::Shrinking;
@@ -81,7 +81,8 @@ impl PictureHeader {
         let pixels = u64::from(width) * u64::from(height);
         let densest = match facts.format {
             ImageFormat::Png => PNG_PIXELS_PER_BYTE_MAX,
-            _ => JPEG_PIXELS_PER_BYTE_MAX,
+            ImageFormat::Jpeg => JPEG_PIXELS_PER_BYTE_MAX,
+            _ => PIXELS_MAX, // a picture of one colour takes next to nothing
         };
         if pixels == 0 || pixels > PIXELS_MAX || pixels > file_bytes.saturating_mul(densest) {
             return Err(malformed(format!(
@@ -135,8 +136,34 @@ fn read_facts(input: &mut (impl BufRead + Seek)) -> io::Result<Facts> {
     match u16::from_be_bytes(read_array(input)?) {
         0xFFD8 => read_jpeg(input),
         0x8950 => read_png(input),
-        _ => Err(invalid("is neither JPEG nor PNG; convert it to one of them")),
+        0x5249 => read_other(input, ImageFormat::WebP),
+        0x4949 | 0x4D4D => read_other(input, ImageFormat::Tiff),
+        0x424D => read_other(input, ImageFormat::Bmp),
+        _ => Err(invalid(UNKNOWN)),
     }
+}
+
+const UNKNOWN: &str = "is neither JPEG, PNG, WebP, TIFF nor BMP; convert it to JPEG or PNG";
+/// Upper bound on the bytes per pixel that decoders of other formats take for themselves: those of WebP have planes of
+/// brightness and colour, and a copy with alpha.
+const DECODER_BYTES_PER_PIXEL: u64 = 10;
+
+/// Lets the library read the head of a file of another format, which it knows by its first two bytes.
+fn read_other(input: &mut (impl BufRead + Seek), format: ImageFormat) -> io::Result<Facts> {
+    input.rewind()?;
+    let failed = |error: image::ImageError| match error {
+        image::ImageError::IoError(error) => error,
+        error => invalid(&format!(
+            "cannot be read ({}); convert it to JPEG or PNG",
+            error.to_string().replace('\n', " ")
+        )),
+    };
+    let decoder = ImageReader::with_format(input, format).into_decoder().map_err(failed)?;
+    let (width, height) = decoder.dimensions();
+    let color = decoder.color_type();
+    let converted = if matches!(color, ColorType::Rgb8) { 0 } else { 4 + 3 };
+    let bytes_per_pixel = u64::from(color.bytes_per_pixel()) + converted + DECODER_BYTES_PER_PIXEL;
+    Ok(Facts { format, size_px: [width, height], bytes_per_pixel, data_offset: 0, is_in_order: false })
 }
 
 fn invalid(reason: &str) -> io::Error {
@@ -153,7 +180,7 @@ fn read_array<const N: usize>(input: &mut impl Read) -> io::Result<[u8; N]> {
 fn read_png(input: &mut (impl Read + Seek)) -> io::Result<Facts> {
     let rest: [u8; 14] = read_array(input)?;
     if rest != *b"NG\r\n\x1a\n\0\0\0\rIHDR" {
-        return Err(invalid("is neither JPEG nor PNG; convert it to one of them"));
+        return Err(invalid(UNKNOWN));
     }
     let width = u32::from_be_bytes(read_array(input)?);
     let height = u32::from_be_bytes(read_array(input)?);

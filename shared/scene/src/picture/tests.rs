@@ -162,8 +162,8 @@ fn unit_colors_are_rounded_and_clamped() {
 #[test]
 fn files_that_are_not_pictures_are_refused_with_a_reason() {
     assert!(complaint(b"").contains("is empty (0 bytes)"));
-    assert!(complaint(b"GIF89a, perhaps").contains("neither JPEG nor PNG"));
-    assert!(complaint(b"\x89PiNG\r\n\x1a\n and so on").contains("neither JPEG nor PNG"));
+    assert!(complaint(b"GIF89a, perhaps").contains("is neither JPEG, PNG"));
+    assert!(complaint(b"\x89PiNG\r\n\x1a\n and so on").contains("is neither JPEG, PNG"));
     assert!(complaint(b"\xff").contains("ends within its header"));
     assert!(complaint(b"\xff\xd8\xff\xe0\0\0").contains("damaged JPEG"));
     let text = Picture::read(Path::new("nowhere.jpg")).unwrap_err().to_string();
@@ -227,5 +227,22 @@ fn files_that_were_cut_short_are_found_without_decoding_them() {
         assert!(Picture::size_of(&path).is_ok());
         let error = Picture::size_of_whole(&path).unwrap_err().to_string();
         assert!(error.contains("cut short"), "{error}");
+    }
+}
+
+/// WebP without loss, TIFF and BMP keep every byte; their headers tell size and memory.
+#[test]
+fn pictures_of_other_formats_are_read() {
+    let picture = smooth([40, 30]);
+    for format in [image::ImageFormat::WebP, image::ImageFormat::Tiff, image::ImageFormat::Bmp] {
+        let mut file = std::io::Cursor::new(Vec::new());
+        let pixels = image::RgbImage::from_raw(40, 30, picture.rgb.clone()).unwrap();
+        pixels.write_to(&mut file, format).unwrap();
+        let file = file.into_inner();
+        assert_eq!(read_bytes(&file).unwrap(), picture, "{format:?}");
+        for end in (0..file.len()).step_by(97) {
+            let _ = read_bytes(&file[..end]); // an error or a picture, no panic
+        }
+        assert!(read_bytes(&file[..40]).is_err(), "{format:?}");
     }
 }
