@@ -40,12 +40,13 @@ fn a_closed_pipe_ends_a_command_without_an_error() {
 fn a_log_is_written_where_it_is_asked_for_and_a_wrong_filter_is_refused() {
     let folder = tempfile::tempdir().unwrap();
     std::fs::write(folder.path().join("cameras.json"), "[]").unwrap();
+    std::fs::write(folder.path().join("model.ply"), "no model").unwrap();
     let merge = |words: &[&str]| {
         let mut command = Command::new(env!("CARGO_BIN_EXE_cosurf-aggregator"));
         command.arg("merge").arg(folder.path()).args(words).current_dir(folder.path());
         String::from_utf8(command.output().unwrap().stderr).unwrap()
     };
-    // The folder holds cameras but no model: the span of the gate opens, and the merge fails inside it.
+    // The model of the folder is damaged: the span of the gate opens, and the merge fails inside it.
     let (quiet, logged) = (merge(&[]), merge(&["--log", "info"]));
     assert!(!quiet.contains("time.busy") && quiet.lines().count() == 1, "{quiet}");
     assert!(logged.contains("gate{models=1}: cosurf_aggregator::gate: close time.busy="), "{logged}");

@@ -118,7 +118,7 @@ impl Locals for Folders<'_> {
     }
 
     fn size(&self, index: usize) -> Result<ModelSize, MergeError> {
-        let (splats, sh_degree) = ply::size(&ply::of_model(&self.folders[index])?)?;
+        let (splats, sh_degree) = model::size(&ply::of_model(&self.folders[index])?)?;
         Ok(ModelSize { splats, sh_degree })
     }
 

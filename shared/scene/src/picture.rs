@@ -5,6 +5,7 @@ mod header;
 mod pixels;
 mod png_rows;
 mod resize;
+mod rgb;
 mod scaled;
 mod shrinking;
 #[cfg(test)]

@@ -6,13 +6,12 @@ use std::path::Path;
 
 use image::codecs::jpeg::JpegEncoder;
 use image::codecs::png::PngEncoder;
-use image::{
-    DynamicImage, ExtendedColorType, ImageDecoder, ImageEncoder, ImageError, ImageFormat, ImageReader, Limits,
-};
+use image::{ExtendedColorType, ImageDecoder, ImageEncoder, ImageError, ImageFormat, ImageReader, Limits};
 
 use super::header::{PictureHeader, Way};
 use super::pixels::Picture;
 use super::resize::area_average_of;
+use super::rgb::rgb_over_black;
 use super::shrinking::Shrinking;
 use super::{png_rows, scaled};
 use crate::{SceneError, atomic};
@@ -34,7 +33,7 @@ pub(super) fn read_fitted(
         Way::Rows => return png_rows::read(path, &header, size_px),
         Way::Scaled(divisor) => {
             check_end(path, &header)?;
-            let scaled = scaled::read(path, &header, divisor)?;
+            let scaled = scaled::read(path, header.size_px, divisor)?;
             return Ok(area_average_of(&scaled, header.size_px, divisor, size_px));
         }
     };
@@ -114,21 +113,6 @@ fn has_end(mut input: impl BufRead + Seek, offset: u64) -> io::Result<bool> {
         }
         let read = bytes.len();
         input.consume(read);
-    }
-}
-
-/// Converts to RGB of 8 bits per channel, with alpha composited over black.
-/// [`PictureHeader::decode_bytes`] includes the memory for this.
-pub(super) fn rgb_over_black(image: DynamicImage) -> Vec<u8> {
-    let over = |color: u8, alpha: u8| ((u16::from(color) * u16::from(alpha) + 127) / 255) as u8;
-    match image {
-        DynamicImage::ImageRgb8(rgb) => rgb.into_raw(),
-        DynamicImage::ImageLuma8(grey) => grey.into_raw().into_iter().flat_map(|grey| [grey; 3]).collect(),
-        DynamicImage::ImageLumaA8(grey) => grey.pixels().flat_map(|p| [over(p.0[0], p.0[1]); 3]).collect(),
-        other => {
-            let rgba = other.into_rgba8();
-            rgba.pixels().flat_map(|p| [0, 1, 2].map(|channel| over(p.0[channel], p.0[3]))).collect()
-        }
     }
 }
 

@@ -8,10 +8,10 @@ use std::path::Path;
 use image::{DynamicImage, GrayAlphaImage, GrayImage, ImageBuffer, RgbImage, RgbaImage};
 use png::{BitDepth, ColorType, Decoder, DecodingError, Limits, Transformations};
 
-use super::files::rgb_over_black;
 use super::header::PictureHeader;
 use super::pixels::Picture;
 use super::resize::AreaAverage;
+use super::rgb::rgb_over_black;
 use crate::SceneError;
 
 /// Reads the picture, shrunk to `size_px`. It must not be interlaced.

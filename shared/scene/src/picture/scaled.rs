@@ -7,7 +7,6 @@ use std::path::Path;
 
 use jpeg_decoder::{Decoder, PixelFormat};
 
-use super::header::PictureHeader;
 use super::pixels::Picture;
 use crate::SceneError;
 
@@ -22,8 +21,8 @@ pub(super) fn scaled_px(size_px: [u32; 2], divisor: u32) -> [u32; 2] {
     size_px.map(|side| side.div_ceil(divisor))
 }
 
-/// Reads the JPEG at one part in `divisor` of its size. It must be grey or have three colours.
-pub(super) fn read(path: &Path, header: &PictureHeader, divisor: u32) -> Result<Picture, SceneError> {
+/// Reads the JPEG of size `whole_px` at one part in `divisor` of that. It must be grey or have three colours.
+pub(super) fn read(path: &Path, whole_px: [u32; 2], divisor: u32) -> Result<Picture, SceneError> {
     let file = File::open(path).map_err(|cause| SceneError::io(path, cause))?;
     let failed = |error: jpeg_decoder::Error| {
         let error = error.to_string().replace('\n', " ");
@@ -31,7 +30,7 @@ pub(super) fn read(path: &Path, header: &PictureHeader, divisor: u32) -> Result<
         SceneError::malformed(path, reason)
     };
     let mut decoder = Decoder::new(BufReader::new(file));
-    let expected = scaled_px(header.size_px, divisor);
+    let expected = scaled_px(whole_px, divisor);
     // The sides of a JPEG are numbers of 16 bits.
     let [width, height] = expected.map(|side| side.min(u32::from(u16::MAX)) as u16);
     let (width, height) = decoder.scale(width, height).map_err(failed)?;
