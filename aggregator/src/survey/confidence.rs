@@ -24,12 +24,13 @@ const SHOWN_FOR_EACH_THROUGH: f32 = 4.0;
 const LEAST_PIXELS: f64 = 0.1;
 /// Error for each metre of spread, with many views. It is no mean of independent errors: all views show the same splats.
 const FOR_SPREAD: f64 = 0.55;
-/// With this many views, the spread counts twice: the fewer there are, the less they contradict what is wrong.
+/// With this many views, the error for the spread doubles, and with fewer it grows further: few views may all be wrong in the
+/// same way.
 const FEW_VIEWS: f64 = 9.5;
 /// Error for each metre between the lowest and the highest surface around: at edges, a surface that lies a pixel beside its
 /// place has the height of another.
 const FOR_RANGE: f64 = 0.14;
-/// "Around" is up to this many voxels away along each axis of the map.
+/// The lowest and the highest surface are looked for up to this many voxels away, along each axis of the map.
 const AROUND_VOXELS: f64 = 2.0;
 /// Error in voxels, if all views looked through the surface.
 const FOR_THROUGH_VOXELS: f64 = 16.0;

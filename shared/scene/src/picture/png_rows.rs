@@ -39,7 +39,8 @@ pub(super) fn read(path: &Path, header: &PictureHeader, size_px: [u32; 2]) -> Re
     Ok(average.finish())
 }
 
-/// A row as a picture of its own; `None` if the row has another length, or no kind of pixels that a decoder gives.
+/// Makes a picture, one pixel high, of a decoded row. `None` if the row's length does not fit `width`, or if its pixels are of
+/// another kind than the decoder was asked for.
 fn image_of(row: &[u8], width: u32, kind: (ColorType, BitDepth)) -> Option<DynamicImage> {
     use ColorType::{Grayscale, GrayscaleAlpha, Rgb, Rgba};
     let wide = || row.chunks_exact(2).map(|two| u16::from_be_bytes([two[0], two[1]])).collect::<Vec<u16>>();

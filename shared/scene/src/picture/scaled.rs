@@ -10,7 +10,8 @@ use jpeg_decoder::{Decoder, PixelFormat};
 use super::pixels::Picture;
 use crate::SceneError;
 
-/// The largest divisor of both sides with which a picture is still at least `wanted_px` wide and high; 1 if none is.
+/// The largest of 8, 4 and 2 by which both sides of a picture can be divided so that it stays at least as wide and high as
+/// `wanted_px`; 1 if there is none.
 pub(super) fn divisor(size_px: [u32; 2], wanted_px: [u32; 2]) -> u32 {
     let suffices = |divisor: &u32| [0, 1].into_iter().all(|axis| size_px[axis] / divisor >= wanted_px[axis]);
     [8, 4, 2].into_iter().find(suffices).unwrap_or(1)
