@@ -8,6 +8,7 @@ use std::path::Path;
 use std::time::Duration;
 
 use blake3::Hash;
+use cosurf_scene::Dataset;
 use serde::{Deserialize, Serialize};
 
 /// Files count as complete once nothing has changed for this long. Copies from a memory card pause for less.
@@ -20,7 +21,7 @@ const FILES_MAX: usize = 1_000_000;
 /// What a folder holds.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Content {
-    /// Pictures with poses: a COLMAP model or `transforms.json`.
+    /// Pictures with poses.
     Dataset,
     /// Photographs without poses.
     Photographs,
@@ -44,9 +45,8 @@ impl Snapshot {
             // A file that vanishes meanwhile changes the next snapshot.
             _ => files.sort_unstable(),
         }
-        let has = |wanted: &str| files.iter().any(|file| file.name.split('/').next() == Some(wanted));
         let content = match () {
-            () if has("transforms.json") || has("sparse") => Some(Content::Dataset),
+            () if Dataset::has_poses(folder) => Some(Content::Dataset),
             () if files.iter().filter(|file| file.is_photograph()).count() >= PHOTOGRAPHS_MIN => {
                 Some(Content::Photographs)
             }
@@ -190,7 +190,7 @@ mod tests {
         assert!(at(&mut watch, path, 10).unwrap().is_begun, "after a restart it goes on");
         let mut watch = Watch::after(Some(arrival.flight.done()));
         assert_eq!((at(&mut watch, path, 0), at(&mut watch, path, 10)), (None, None), "done");
-        fs::write(path.join("transforms.json"), "{}").unwrap();
+        fs::write(path.join("reconstruction.json"), "[]").unwrap();
         at(&mut watch, path, 20);
         let arrival = at(&mut watch, path, 30).unwrap();
         assert_eq!((arrival.content, arrival.is_begun), (Content::Dataset, false), "another flight");

@@ -6,7 +6,7 @@ use std::ops::ControlFlow;
 use std::path::{Path, PathBuf};
 
 use cosurf_engine::Rendering;
-use cosurf_scene::{Camera, Dataset, LocalFrame, Mesh, Splats, ply};
+use cosurf_scene::{Camera, Dataset, LocalFrame, Mesh, Splats, model, ply};
 
 use super::error::SurveyError;
 use crate::mesh::{FuseEvent, FuseSettings, mesh_file, render_each};
@@ -73,7 +73,7 @@ impl Scene {
 
     /// Calls `visit` with all splats, in the frame of the scene, at most `most` at a time.
     pub(super) fn splats(&self, most: usize, visit: impl FnMut(&Splats)) -> Result<(), SurveyError> {
-        Ok(ply::read_parts(&self.model, &self.frame, most, visit)?)
+        Ok(model::read_parts(&self.model, &self.frame, most, visit)?)
     }
 
     /// World height of the lowest camera, metres.

@@ -79,13 +79,47 @@ impl Dataset {
         Some(folder)
     }
 
+    /// Whether a folder has poses in a layout that [`Self::open`] knows. Whether they can be read is another question.
+    pub fn has_poses(folder: &Path) -> bool {
+        Layout::of_folder(folder).is_some()
+    }
+
     /// Whether a path is a folder of photographs, directly or in `images`, without any file of poses.
     pub fn is_without_poses(path: &Path) -> bool {
-        let has_poses = colmap::find_model(path).is_some()
-            || ["transforms.json", opensfm::FILE, camera_list::FILE]
-                .into_iter()
-                .any(|file| path.join(file).is_file());
-        !has_poses && (advice::has_pictures(path) || advice::has_pictures(&path.join("images")))
+        !Self::has_poses(path) && (advice::has_pictures(path) || advice::has_pictures(&path.join("images")))
+    }
+}
+
+/// Where the poses of a dataset are: a file, or the folder of a COLMAP model.
+enum Layout {
+    Colmap(PathBuf),
+    Transforms(PathBuf),
+    OpenSfm(PathBuf),
+    CameraList(PathBuf),
+}
+
+impl Layout {
+    fn of_folder(folder: &Path) -> Option<Self> {
+        let file = |name: &str| Some(folder.join(name)).filter(|path| path.is_file());
+        colmap::find_model(folder)
+            .map(Self::Colmap)
+            .or_else(|| file("transforms.json").map(Self::Transforms))
+            .or_else(|| file(opensfm::FILE).map(Self::OpenSfm))
+            .or_else(|| file(camera_list::FILE).map(Self::CameraList))
+    }
+
+    /// The layout of a dataset that is named by a file of its own. Any file that is no known mistake may be a
+    /// `transforms.json` of another name.
+    fn of_file(path: &Path) -> Result<Self, SceneError> {
+        let path_buf = path.to_path_buf();
+        match path.file_name().and_then(|name| name.to_str()) {
+            Some(camera_list::FILE) => Ok(Self::CameraList(path_buf)),
+            Some(opensfm::FILE) => Ok(Self::OpenSfm(path_buf)),
+            _ => match advice::for_file(path) {
+                Some(advice) => Err(SceneError::malformed(path, advice)),
+                None => Ok(Self::Transforms(path_buf)),
+            },
+        }
     }
 }
 
@@ -118,34 +152,18 @@ fn order(path: &Path, dataset: &mut Dataset) -> Result<(), SceneError> {
 }
 
 fn read_into(sieve: &mut Sieve, path: &Path) -> Result<Vec<View>, SceneError> {
-    if path.is_file() && path.file_name().is_some_and(|name| name == camera_list::FILE) {
-        return camera_list::read_views(path);
+    let layout = match path.is_file() {
+        true => Layout::of_file(path)?,
+        false => {
+            Layout::of_folder(path).ok_or_else(|| SceneError::malformed(path, advice::for_folder(path)))?
+        }
+    };
+    match layout {
+        Layout::Colmap(model) => colmap::read(path, &model, sieve),
+        Layout::Transforms(file) => transforms::read(&file, sieve),
+        Layout::OpenSfm(file) => opensfm::read(&file, sieve),
+        Layout::CameraList(file) => camera_list::read_views(&file),
     }
-    if path.is_file() && path.file_name().is_some_and(|name| name == opensfm::FILE) {
-        return opensfm::read(path, sieve);
-    }
-    if path.is_file() {
-        return match advice::for_file(path) {
-            Some(advice) => Err(SceneError::malformed(path, advice)),
-            None => transforms::read(path, sieve),
-        };
-    }
-    if let Some(model) = colmap::find_model(path) {
-        return colmap::read(path, &model, sieve);
-    }
-    let file = path.join("transforms.json");
-    if file.is_file() {
-        return transforms::read(&file, sieve);
-    }
-    let file = path.join(opensfm::FILE);
-    if file.is_file() {
-        return opensfm::read(&file, sieve);
-    }
-    let list = path.join(camera_list::FILE);
-    if list.is_file() {
-        return camera_list::read_views(&list);
-    }
-    Err(SceneError::malformed(path, advice::for_folder(path)))
 }
 
 /// Removes components such as `..` from a picture's name, so that a result file named after the

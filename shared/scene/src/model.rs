@@ -125,6 +125,9 @@ mod tests {
             read(&path, frame).unwrap().means.iter().map(|mean| mean[0]).collect::<Vec<_>>()
         };
         assert_eq!(read_x(&LocalFrame::WORLD), [1001.0, 1003.0]);
+        let (mut parts, frame) = (Vec::new(), LocalFrame::at(DVec3::X * 1000.0));
+        read_parts(&path, &frame, 1, |part| parts.push((part.len(), part.means[0][0]))).unwrap();
+        assert_eq!(parts, [(1, 1.0), (1, 3.0)]);
         for version in [spz::Version::V2, spz::Version::V4] {
             spz::write(&path, &splats().without(&[1]), version).unwrap();
             assert_eq!((size(&path).unwrap(), unusable_note(&path)), ((2, 0), None));

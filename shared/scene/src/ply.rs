@@ -139,36 +139,6 @@ pub fn origin(path: &Path) -> Result<DVec3, SceneError> {
     read_vertices(path, |_, rows| Ok(rows.origin()))
 }
 
-/// As [`read`], in parts, so that they need not fit into the memory: calls `visit` with at most `most` splats at a time, in
-/// the order of the file. Errors are those of [`read`].
-pub fn read_parts(
-    path: &Path,
-    frame: &LocalFrame,
-    most: usize,
-    mut visit: impl FnMut(&Splats),
-) -> Result<(), SceneError> {
-    read_vertices(path, |element, rows| {
-        let columns = Columns::find(element)?;
-        let files = LocalFrame::at(rows.origin());
-        let mut part = Splats::with_capacity(most, columns.sh_degree);
-        let mut before = 0;
-        while let Some(row) = rows.next()? {
-            columns.read(element, row, &mut part, before)?;
-            if part.len() >= most {
-                files.move_splats(&mut part, frame);
-                visit(&part);
-                before += part.len();
-                part.clear();
-            }
-        }
-        if !part.is_empty() {
-            files.move_splats(&mut part, frame);
-            visit(&part);
-        }
-        Ok(())
-    })
-}
-
 /// Reads splats into `parts`, which leaves out those that cannot be rendered. Other errors are those of [`read`].
 pub(crate) fn read_into(path: &Path, parts: &mut Parts) -> Result<(), SceneError> {
     read_vertices(path, |element, rows| {
