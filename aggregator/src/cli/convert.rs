@@ -108,6 +108,9 @@ pub(crate) fn run(args: &ConvertArgs) -> Result<()> {
             if rotation.is_some() { "a turned model" } else { "an SPZ" }
         );
     }
+    if matches!(to, Format::Spz) {
+        tell_resized(spz::resized(&splats), splats.len());
+    }
     match to {
         Format::Ply => ply::write(&args.out, &splats, &frame),
         Format::Spz => spz::write(&args.out, &splats, args.spz_version),
@@ -117,6 +120,16 @@ pub(crate) fn run(args: &ConvertArgs) -> Result<()> {
         viewer_cameras::write(out, &cameras, rotation.unwrap_or(DQuat::IDENTITY))?;
     }
     Ok(())
+}
+
+/// Tells the user if an SPZ changes the size of many splats: then the model has an unusual unit.
+fn tell_resized(resized: usize, of: usize) {
+    if resized * 100 > of {
+        eprintln!(
+            "{resized} of {of} splats are smaller or larger than SPZ can hold, and look different in it: write a PLY, or give \
+             the dataset another unit of length"
+        );
+    }
 }
 
 /// The cameras beside a model, relative to the model's origin.

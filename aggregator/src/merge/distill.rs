@@ -3,12 +3,13 @@
 //! decide only how many tiles are distilled at once.
 
 use std::cmp::Reverse;
-use std::collections::BTreeMap;
+use std::collections::{BTreeMap, BTreeSet};
 use std::ops::ControlFlow;
 use std::sync::atomic::{AtomicBool, AtomicUsize, Ordering};
 use std::sync::mpsc::{self, Receiver, Sender};
 use std::thread;
 
+use cosurf_engine::Device;
 use serde::Serialize;
 use tracing::info_span;
 
@@ -17,7 +18,7 @@ use super::computer::Computer;
 use super::error::MergeError;
 use super::expected::Expected;
 use super::learn::learn;
-use super::memory::{at_once, beside_bytes, check_pictures, planning_bytes};
+use super::memory::{STUDENT_SPLATS, at_once, beside_bytes, check_pictures, planning_bytes};
 use super::news::{Learnt, Report};
 use super::plan::Plan;
 use super::results::{self, Found, TileRecord};
@@ -189,7 +190,30 @@ impl Plans {
             Ok(())
         })?;
         check_pictures(&largest, memory_bytes, &computer.device)?;
+        plans.check_heaps(site, memory_bytes, &computer.device)?;
         Ok(plans)
+    }
+
+    /// An error if a tile takes more memory than a merge may because a model has heaped its splats there: more than half of
+    /// those that an ordinary tile trains. Otherwise one such model would keep all others from being merged.
+    fn check_heaps(&self, site: &Site, memory_bytes: u64, device: &Device) -> Result<(), MergeError> {
+        let beside = beside_bytes(device);
+        let (mut locals, mut needed_bytes) = (BTreeSet::new(), 0);
+        for (index, size) in self.sizes.iter().enumerate() {
+            if beside.saturating_add(size.bytes) > memory_bytes {
+                let (local, splats) = self.get(index)?.most_of(site)?;
+                locals.extend((splats > STUDENT_SPLATS / 2).then_some(local));
+                needed_bytes = needed_bytes.max(beside.saturating_add(size.bytes));
+            }
+        }
+        // If all have heaps, the limit is wrong rather than a model.
+        match !locals.is_empty() && locals.len() < site.cameras.len() {
+            true => {
+                let locals = locals.into_iter().collect();
+                Err(MergeError::ModelsTooLarge { locals, memory_bytes, needed_bytes })
+            }
+            false => Ok(()),
+        }
     }
 
     fn get(&self, index: usize) -> Result<Plan, MergeError> {

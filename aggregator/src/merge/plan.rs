@@ -124,6 +124,21 @@ impl Plan {
         Ok(site.joined.count_wanted(site.joined.all(), |bounds| touches(&frusta, bounds), wanted)?)
     }
 
+    /// Which model has most of the splats to train, and how many.
+    pub(super) fn most_of(&self, site: &Site) -> Result<(usize, usize), MergeError> {
+        let frusta = self.frusta();
+        let wanted = |at: DVec3, radius: f64| {
+            self.tile.contains(at) || frusta.iter().any(|frustum| frustum.touches(at, radius))
+        };
+        let near = |bounds: &Bounds| self.tile.touches(bounds.low, bounds.high) || touches(&frusta, bounds);
+        let mut most = (0, 0);
+        for (local, pages) in site.joined_pages.iter().enumerate() {
+            let count = site.joined.count_wanted(pages.clone(), near, wanted)?;
+            most = if count > most.1 { (local, count) } else { most };
+        }
+        Ok(most)
+    }
+
     /// Whether a splat with this radius lies in another tile and touches any of the frusta.
     fn is_other(&self, frusta: &[Frustum], at: DVec3, radius: f64) -> bool {
         !self.tile.contains(at) && frusta.iter().any(|frustum| frustum.touches(at, radius))

@@ -24,6 +24,8 @@ const CELLS_ACROSS: f64 = 8.0;
 pub(super) struct Site<'a> {
     /// The splats that stay after compression.
     pub(super) joined: Pages,
+    /// The pages of each model's joined splats.
+    pub(super) joined_pages: Vec<Range<usize>>,
     /// All splats of all models.
     pub(super) models: Pages,
     /// The pages of each model.
@@ -50,6 +52,7 @@ impl<'a> Site<'a> {
     ) -> Result<Self, MergeError> {
         Ok(Self {
             joined: Pages::new(&scratch, sh_degree)?,
+            joined_pages: Vec::new(),
             models: Pages::new(&scratch, sh_degree)?,
             pages: Vec::new(),
             cameras,
@@ -66,7 +69,7 @@ impl<'a> Site<'a> {
         let area = Area::of(&splats.means);
         self.pages.push(self.models.append(splats, &area)?);
         self.neighbours.push(Neighbours::find(cameras, &probes(splats)));
-        self.joined.append(kept, &area)?;
+        self.joined_pages.push(self.joined.append(kept, &area)?);
         let cell = || longest_side(splats) / CELLS_ACROSS;
         let new = || Map::new(vertical(self.cameras.iter().flatten()), cell());
         self.map.get_or_insert_with(new).add(&kept.means);

@@ -119,10 +119,20 @@ impl Round {
             }
             if is_stopped() { ControlFlow::Break(()) } else { ControlFlow::Continue(()) }
         });
+        let of_all =
+            |places: Vec<usize>| places.into_iter().map(|place| admitted.place(place).local).collect();
         let mut merged = match merged {
             Err(MergeError::PicturesTooLarge { locals, needed_bytes, .. }) => {
-                let locals = locals.into_iter().map(|place| admitted.place(place).local).collect();
-                return Ok(Attempt::TooLarge { locals, reason: Excess::Pictures.reason(needed_bytes) });
+                return Ok(Attempt::TooLarge {
+                    locals: of_all(locals),
+                    reason: Excess::Pictures.reason(needed_bytes),
+                });
+            }
+            Err(MergeError::ModelsTooLarge { locals, needed_bytes, .. }) => {
+                return Ok(Attempt::TooLarge {
+                    locals: of_all(locals),
+                    reason: Excess::Splats.reason(needed_bytes),
+                });
             }
             merged => merged?,
         };

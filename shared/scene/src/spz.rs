@@ -2,12 +2,13 @@
 //! header, then all positions, opacities, colours, scales, rotations and spherical harmonics: up to version 3 in one gzip
 //! stream, in version 4 as a table and a zstd stream for each.
 //!
-//! Versions 1 to 4 are read, 2 to 4 are written. Extensions of vendors, and harmonics above degree 3, are left out. SPZ's axes are right, up, back; those of the 3DGS PLY are right,
-//! down, forward. So y and z change sign when a file is written or read, as in other converters. Viewers then show
-//! the SPZ like the PLY.
+//! Versions 1 to 4 are read, 2 to 4 are written. Extensions of vendors, and harmonics above degree 3, are left out. SPZ's
+//! axes are right, up, back; those of the 3DGS PLY are right, down, forward. So y and z change sign when a file is written or
+//! read, as in other converters. Viewers then show the SPZ like the PLY.
 //!
 //! The format is lossy: use it for viewing models, not for keeping them. Its steps are 0.24 mm for coordinates below
-//! 2 km, 6 % for scales, and 0.1° for rotations (1° in version 2). Spherical harmonics have 4 or 5 bits.
+//! 2 km, 6 % for scales from 0.045 mm to 380 m, and 0.1° for rotations (1° in version 2). Spherical harmonics have 4 or 5
+//! bits.
 //!
 //! ```
 //! use cosurf_scene::{Splats, spz};
@@ -43,6 +44,7 @@ use crate::parts::Parts;
 use crate::{LocalFrame, SceneError, Splats, atomic};
 use header::Header;
 pub use header::Version;
+use steps::{LOG_SCALE_MIN, LOG_SCALE_STEPS};
 
 /// Splats whose bytes are read at a time.
 const READ_AT_ONCE: usize = 1024;
@@ -65,6 +67,18 @@ pub fn to_bytes(splats: &Splats) -> Option<Vec<u8>> {
     let mut bytes = Vec::new();
     pack::encode(&mut bytes, splats, fraction_bits, Version::V3).ok()?;
     Some(bytes)
+}
+
+/// Number of splats that a file holds in another size, because their second longest axis is below 0.045 mm, or their longest
+/// above 380 m. The shortest may be less: such a splat is a disc.
+pub fn resized(splats: &Splats) -> usize {
+    let log_scale_max = LOG_SCALE_MIN + 255.0 / LOG_SCALE_STEPS;
+    let is_resized = |log_scales: &&[f32; 3]| {
+        let mut sorted = **log_scales;
+        sorted.sort_unstable_by(f32::total_cmp);
+        sorted[1] < LOG_SCALE_MIN || sorted[2] > log_scale_max
+    };
+    splats.log_scales.iter().filter(is_resized).count()
 }
 
 /// Bytes of a splat before compression, in a file of version 3 or 4.

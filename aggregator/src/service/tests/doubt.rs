@@ -10,8 +10,18 @@ const NAMES: [&str; 4] = ["agent-1", "agent-2", "agent-3", "agent-4"];
 /// Lets drones send the models of `sent`: device, number and model. Once all of `waited_for` are merged or kept out,
 /// and exactly the `outsiders` are kept out, returns the bytes of the global model's file.
 fn fly(folder: &Path, waited_for: &[&str], sent: &[(&str, u64, &Model)], outsiders: &[&str]) -> Vec<u8> {
+    fly_with(QUICK, folder, waited_for, sent, outsiders)
+}
+
+fn fly_with(
+    merge: MergeSettings,
+    folder: &Path,
+    waited_for: &[&str],
+    sent: &[(&str, u64, &Model)],
+    outsiders: &[&str],
+) -> Vec<u8> {
     let network = MemoryNetwork::new(sent.len() as u64, BAD_WEATHER);
-    let mut ground = open_with(&network, folder, fleet(waited_for), QUICK);
+    let mut ground = open_with(&network, folder, fleet(waited_for), merge);
     let drones = sent.iter().map(|(name, number, model)| Drone::new(&network, name, *number, model));
     let is_settled = |event: &ServiceEvent| match event {
         ServiceEvent::Merged { models, kept_out, .. } => {
@@ -63,4 +73,29 @@ fn attack_01_absurd_pictures_do_not_stop_the_merge_of_the_others() {
     assert!(fly(folders[1].path(), &NAMES, &all, &["agent-4"]) == clean, "the absurd model left a trace");
     let record = Merging::read(folders[1].path()).unwrap();
     assert!(record.kept_out[0].reason.contains("merge_memory to"), "{:?}", record.kept_out);
+}
+
+#[test]
+fn a_model_that_does_not_fit_into_the_memory_does_not_stop_the_merge_of_the_others() {
+    // The whole model is too large, or it fits, but its splats lie in heaps that no tile can divide.
+    [44, 64].into_iter().for_each(merge_beside_a_large_model);
+}
+
+fn merge_beside_a_large_model(memory_mib: u64) {
+    let right = flights();
+    let mut large = flight(60.0);
+    while large.splats.len() < 60_000 {
+        large.splats.extend(&large.splats.clone());
+    }
+    let tight = MergeSettings { memory_bytes: memory_mib << 20, ..QUICK };
+    let folders = [(); 2].map(|()| tempfile::tempdir().unwrap());
+    let honest: Vec<_> = NAMES[..3].iter().zip(&right).map(|(name, model)| (*name, 1, model)).collect();
+    let clean = fly_with(tight, folders[0].path(), &NAMES[..3], &honest, &[]);
+    let all = [&honest[..], &[("agent-4", 1, &large)]].concat();
+    assert!(
+        fly_with(tight, folders[1].path(), &NAMES, &all, &["agent-4"]) == clean,
+        "the large model left a trace"
+    );
+    let record = Merging::read(folders[1].path()).unwrap();
+    assert!(record.kept_out[0].reason.contains("has more splats than fit"), "{:?}", record.kept_out);
 }

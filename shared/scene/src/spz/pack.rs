@@ -7,7 +7,7 @@ use flate2::write::GzEncoder;
 
 use super::columns::V4_HEAD_BYTES;
 use super::header::{COORDINATE_BITS, HEAD_BYTES, MAGIC, Version};
-use super::steps::{AXIS_SIGNS, COLOR_SCALE, SH_SIGNS};
+use super::steps::{AXIS_SIGNS, COLOR_SCALE, LOG_SCALE_MIN, LOG_SCALE_STEPS, SH_SIGNS};
 use crate::Splats;
 
 /// Largest number of fractional bits of a coordinate; far coordinates get fewer.
@@ -72,7 +72,7 @@ fn columns(splats: &Splats, fraction_bits: u8, version: Version) -> [Vec<u8>; 6]
     let opacities = splats.opacity_logits.iter().map(|logit| byte(255.0 / (1.0 + (-logit).exp())));
     let colors = (0..splats.len())
         .flat_map(|i| [0, 1, 2].map(|k| byte((splats.sh_of(i)[k] * COLOR_SCALE + 0.5) * 255.0)));
-    let scales = splats.log_scales.iter().flatten().map(|v| byte((v + 10.0) * 16.0));
+    let scales = splats.log_scales.iter().flatten().map(|v| byte((v - LOG_SCALE_MIN) * LOG_SCALE_STEPS));
     let quats = match version >= Version::V3 {
         true => splats.quats.iter().flat_map(|quat| pack_quat(*quat)).collect(),
         false => splats.quats.iter().flat_map(|quat| pack_quat_coarsely(*quat)).collect(),

@@ -181,3 +181,12 @@ fn files_of_version_4_are_refused_if_their_table_lies() {
     let first = 32 + 6 * 16;
     assert!(spoilt(&|bytes| bytes[first] = 0).contains("damaged"), "no zstd");
 }
+
+#[test]
+fn splats_that_a_file_cannot_hold_are_counted() {
+    let mut splats = Splats::with_capacity(4, 0);
+    for log_scales in [[-9.9, -20.0, 5.9], [-10.1, 1.0, -12.0], [6.0, 1.0, 1.0], [-4.0; 3]] {
+        splats.push([0.0; 3], [1.0, 0.0, 0.0, 0.0], log_scales, 0.0, &[0.0; 3]);
+    }
+    assert_eq!(resized(&splats), 2);
+}

@@ -1,7 +1,7 @@
 //! From the bytes of SPZ's columns to splats in the axes of the 3DGS PLY.
 
 use super::header::{Header, Version};
-use super::steps::{AXIS_SIGNS, COLOR_SCALE, SH_SIGNS};
+use super::steps::{AXIS_SIGNS, COLOR_SCALE, LOG_SCALE_MIN, LOG_SCALE_STEPS, SH_SIGNS};
 use crate::parts::Record;
 
 /// Turns the bytes of a splat into its values. Whatever the bytes are, the values can be rendered, except for the positions
@@ -12,7 +12,7 @@ pub(super) fn unpack(header: &Header, bytes: [&[u8]; 6]) -> Record {
     let mut record = Record {
         mean: unpack_position(header, position),
         quat: unpack_quat(quat),
-        log_scale: std::array::from_fn(|k| f32::from(scale[k]) / 16.0 - 10.0),
+        log_scale: std::array::from_fn(|k| f32::from(scale[k]) / LOG_SCALE_STEPS + LOG_SCALE_MIN),
         opacity_logit: (opacity / (1.0 - opacity)).ln(),
         ..Record::ZERO
     };
