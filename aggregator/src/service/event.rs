@@ -116,6 +116,12 @@ pub enum ServiceEvent {
         /// The reason.
         reason: RefusalReason,
     },
+    /// An agent has a global model of a folder that was lost. The models are merged anew, under a number that is higher than
+    /// those of the lost folder.
+    Outnumbered {
+        /// The agent.
+        by: DeviceId,
+    },
     /// Two drones use the same device name, so they disturb each other's uploads.
     SameName {
         /// The name.
@@ -203,6 +209,11 @@ impl fmt::Display for ServiceEvent {
                 write!(f, "{device} no longer has the global model; it is sent again")
             }
             Self::Refused { by, reason } => write!(f, "{by} refuses the global model: {reason}"),
+            Self::Outnumbered { by } => write!(
+                f,
+                "{by} has a global model of this number that is not in this folder: the models are merged anew under a \
+                 higher number"
+            ),
             Self::SameName { device } => {
                 write!(f, "two drones use the device name {device}; give each its own")
             }

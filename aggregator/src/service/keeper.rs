@@ -56,6 +56,8 @@ pub(super) enum RunState {
 #[derive(Debug)]
 pub(super) struct Keeper {
     device: DeviceId,
+    /// Number of the service's session.
+    session: u64,
     folder: PathBuf,
     shelf: Shelf,
     globals: ModelStore,
@@ -65,7 +67,7 @@ pub(super) struct Keeper {
     sent: Sent,
     /// What devices get of the global model of the aggregator above.
     handed: Sent,
-    /// The highest number of a revision whose file was set aside. Devices may have it.
+    /// The highest number that devices may have of a revision whose file was set aside or lost.
     used: Option<ModelId>,
     /// The aggregator above, if there is one.
     above: Option<Above>,
@@ -112,16 +114,19 @@ impl Keeper {
         let set_aside = [&globals, sent.store(), handed.store()].map(ModelStore::highest_set_aside);
         let results = Store::in_folder(&tiles(&config.folder)).map_err(MergeError::from)?;
         let (trials, died) = Trials::open(&config.folder)?;
-        let merged = Merging::read(&config.folder).map(|record| record.inputs).unwrap_or_default();
+        let (merged, revision) = Merging::read(&config.folder)
+            .map(|record| (record.inputs, Some(ModelId(record.revision))))
+            .unwrap_or_default();
         let mut missing = shelf.take_damaged();
         missing.extend(merged.iter().filter_map(|input| shelf.lacks(input)));
-        let mut used = None;
+        let mut used = revision.filter(|revision| !revision.is_tile());
         for highest in set_aside {
             used = used.max(highest?);
         }
         told.extend(died);
         let keeper = Self {
             device: config.identity.device,
+            session: config.identity.session,
             folder: config.folder,
             shelf,
             globals,
@@ -230,7 +235,14 @@ impl Keeper {
                 return None;
             }
             NodeEvent::Uploaded(..) => ServiceEvent::Delivered,
-            NodeEvent::UploadRefused { by, reason, .. } => ServiceEvent::Refused { by, reason },
+            NodeEvent::UploadRefused { key, by, reason } => {
+                let is_from_elsewhere =
+                    matches!(reason, RefusalReason::NumberTaken | RefusalReason::Replayed);
+                match is_from_elsewhere && self.jump(key.model, now) {
+                    true => ServiceEvent::Outnumbered { by },
+                    false => ServiceEvent::Refused { by, reason },
+                }
+            }
             NodeEvent::Refused { key, reason } => {
                 let remedy = match reason {
                     RefusalReason::Busy => "; raise `uploads_max` or `memory` if this goes on",
@@ -594,6 +606,19 @@ impl Keeper {
             .max(self.handed.number())
             .max(self.used)
             .map_or(ModelId(1), |newest| ModelId(newest.0 + 1))
+    }
+
+    /// Lets the next revision have a higher number than any that devices may have from a folder that was lost, because one of
+    /// them has refused the revision `refused`. Sessions follow the clock, and revisions do not, unless they have jumped. So
+    /// a device that refuses everything makes no more than one jump in a session. Returns whether there is one.
+    fn jump(&mut self, refused: ModelId, now: Duration) -> bool {
+        let session = ModelId(self.session);
+        if self.own_number() != Some(refused) || refused >= session {
+            return false;
+        }
+        self.used = self.used.max(Some(session));
+        self.round = Some(Round::at_once(self.round.take(), now));
+        true
     }
 
     /// Whether devices may have a model with a higher number than the service's own: one whose file was set aside, or one

@@ -1,6 +1,7 @@
 //! Models that were acknowledged and are missing or damaged on the disk later.
 
 use super::*;
+use crate::testing::QUICK;
 
 /// The file of the model of `agent-1`.
 fn file(folder: &Path) -> std::path::PathBuf {
@@ -65,4 +66,30 @@ fn a_model_that_is_missing_at_the_start_is_asked_for_again_and_served() {
     let mut ground = open(&network, folder.path(), fleet(&["agent-1", "agent-2"]));
     simulate(&network, &mut ground, &mut drones, |events, _| count(events, is_stored) == 1);
     assert!(file(folder.path()).exists());
+}
+
+/// The service of a folder that is lost counts from 1 again, but devices still have its revisions.
+#[test]
+fn devices_with_revisions_of_a_lost_folder_get_the_next_one() {
+    let folders = [(); 2].map(|()| tempfile::tempdir().unwrap());
+    let [lost, fresh] = folders.each_ref().map(|folder| folder.path());
+    let old = delivered_and_stopped(&MemoryNetwork::new(1, Faults::NONE), lost)[0].global.unwrap();
+
+    // The drone is the only one in the fresh folder, which so gets another global model.
+    let network = MemoryNetwork::new(2, Faults::NONE);
+    let model = model(900, 1, 1.0);
+    let mut drone = Drone::new(&network, "agent-1", 1, &model);
+    let its = identity("agent-1", Role::Device);
+    drone.node = Node::new(its, LIMITS, &[old]);
+    let Model { splats, cameras } = &model;
+    drone.node.upload(Offer::new(its.device, ModelId(1), ModelKind::Local, 3, splats, cameras).unwrap());
+    let identity = Identity { session: 1_800_000_000, ..identity("aggregator", Role::Aggregator) };
+    let transport = network.join(&identity);
+    let (folder, expected) = (fresh.to_path_buf(), fleet(&["agent-1"]));
+    let config = ServiceConfig { identity, folder, limits: LIMITS, expected, merge: QUICK, threads: 1 };
+    let mut ground = Ground { service: Service::open(config).unwrap(), transport };
+    let mut drones = [drone];
+    let events = simulate(&network, &mut ground, &mut drones, |_, drones| drones[0].global.is_some());
+    assert!(events.iter().any(|event| matches!(event, ServiceEvent::Outnumbered { .. })), "{events:?}");
+    assert!(drones[0].global.unwrap().model > old.model);
 }
