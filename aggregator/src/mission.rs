@@ -17,6 +17,7 @@ mod order;
 mod phases;
 mod plan;
 mod progress;
+mod rounds;
 mod signal;
 mod summary;
 mod watch;
@@ -52,6 +53,7 @@ use phases::Phases;
 use plan::{Edge, Plan};
 pub use plan::{PlanError, Settings};
 use progress::show_pictures;
+use rounds::{Round, rounds};
 use signal::Signal;
 use summary::summarize;
 use watch::{EdgeStatus, Watch};
@@ -85,12 +87,17 @@ pub fn fly(order: &MissionOrder, around: &Surroundings) -> Result<Flown, Mission
     // Read before the agents start, so that a wrong folder is reported before the training.
     let frame = LocalFrame::of(dataset.cameras_of_views());
     let yardsticks = Yardsticks::read(&order.settings.data, order.lpips.as_deref(), None, &frame)?;
-    let fresh_site = SiteId::new(&format!("mission-{}", around.session))?;
-    let plan = Plan::make(&dataset, &order.settings, &order.out, fresh_site)?;
-    dataset.points = Vec::new(); // only agents need them
+    let plan = make_plan(&dataset, &order.settings, &order.out, around, "")?;
     check_memory(&dataset, &order.settings)?;
     phases.end("preparing");
-    let Gathered { global, board, edges } = gather(order, around, &plan)?;
+    let mut rounds = rounds(order);
+    let last = rounds.pop().unwrap_or_else(|| Round { order: order.clone(), before: None });
+    for (i, round) in rounds.iter().enumerate() {
+        fly_round(&dataset, round, i + 1, around)?;
+        phases.end(&format!("round {}", i + 1));
+    }
+    dataset.points = Vec::new(); // only agents need them
+    let Gathered { global, board, edges } = gather(&last, around, &plan)?;
     phases.end("training and merging");
     let scene = Scene { dataset: dataset.into_frame(&frame), frame };
     let relief = mesh(order, around, &scene)?;
@@ -127,6 +134,31 @@ pub fn fly(order: &MissionOrder, around: &Surroundings) -> Result<Flown, Mission
     let (cells, views, showcases) = (&plan.cells, &plan.views, &evaluation.showcases);
     write_report(&order.out, &report, &Drawings { client: &client, cells, views, showcases })?;
     Ok(Flown { report, accuracy })
+}
+
+/// Runs agents and aggregators of a round that is not the last, in a folder of its own.
+fn fly_round(
+    dataset: &Dataset,
+    round: &Round,
+    number: usize,
+    around: &Surroundings,
+) -> Result<(), MissionError> {
+    let MissionOrder { settings, out, .. } = &round.order;
+    fs::create_dir_all(out).map_err(|cause| SceneError::io(out, cause))?;
+    let plan = make_plan(dataset, settings, out, around, &format!("-round-{number}"))?;
+    gather(round, around, &plan).map(drop)
+}
+
+/// Divides the dataset among the agents. The site of a new mission is called by its session and `suffix`.
+fn make_plan(
+    dataset: &Dataset,
+    settings: &Settings,
+    out: &Path,
+    around: &Surroundings,
+    suffix: &str,
+) -> Result<Plan, MissionError> {
+    let fresh_site = SiteId::new(&format!("mission-{}{suffix}", around.session))?;
+    Ok(Plan::make(dataset, settings, out, fresh_site)?)
 }
 
 /// Makes the deliverables of the global model.
@@ -172,7 +204,8 @@ struct Gathered {
 }
 
 /// Runs agents and aggregators until the agents' models are merged.
-fn gather(order: &MissionOrder, around: &Surroundings, plan: &Plan) -> Result<Gathered, MissionError> {
+fn gather(round: &Round, around: &Surroundings, plan: &Plan) -> Result<Gathered, MissionError> {
+    let order = &round.order;
     if !around.agent.is_file() {
         return Err(MissionError::NoAgent { path: around.agent.clone() });
     }
@@ -181,7 +214,7 @@ fn gather(order: &MissionOrder, around: &Surroundings, plan: &Plan) -> Result<Ga
     let mut hierarchy = Hierarchy::start(order, around, plan, &house, &say)?;
     let mut watch = Watch::new(plan, around, signals);
     watch.await_broker(&hierarchy)?;
-    let processes = AgentProcesses::start(agent_commands(order, around, plan, &address)?, move |event| {
+    let processes = AgentProcesses::start(agent_commands(round, around, plan, &address)?, move |event| {
         let _ = say.send(Signal::Agent(event)); // fails only after the end of the mission
     });
     watch.await_agents(&hierarchy)?;
@@ -218,14 +251,15 @@ fn reach_broker(order: &MissionOrder) -> Result<(Option<Broker>, BrokerAddress, 
 /// Writes the configuration of each agent and returns the commands that start the agents. Agents share the cores
 /// evenly.
 fn agent_commands(
-    order: &MissionOrder,
+    Round { order, before }: &Round,
     around: &Surroundings,
     plan: &Plan,
     address: &BrokerAddress,
 ) -> Result<Vec<AgentCommand>, MissionError> {
     let threads = (around.cores / plan.devices.len()).max(1);
     let command = |agent| {
-        let folder = plan.write_agent_config(agent, &order.settings, &order.out, address, threads)?;
+        let folder =
+            plan.write_agent_config(agent, &order.settings, &order.out, before.as_deref(), address, threads)?;
         let config = folder.join("agent.toml").display().to_string();
         Ok(AgentCommand {
             program: around.agent.clone(),

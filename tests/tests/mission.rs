@@ -142,6 +142,30 @@ fn with_compress_first_agents_send_shared_ground_once() {
     assert!(good > best - 1.0, "{good:.2} dB instead of {best:.2} dB");
 }
 
+/// In the second round, agents begin from the global model of the first. The same command in the same folder changes nothing.
+/// (Two rounds are better than one only if they are long: see `mission/rounds.rs`.)
+#[test]
+fn a_second_round_begins_from_the_first_ones_model() {
+    let folder = tempfile::tempdir().unwrap();
+    let data = folder.path().join("data");
+    write_city(&data, 60.0, 16, [160, 120]);
+    let [one, two] = ["1", "2"].map(|rounds| {
+        let out = folder.path().join(rounds);
+        let fly = || finish(start(&data, &out, &["--steps", "200", "--rounds", rounds]), &out);
+        let first = fly();
+        assert!(fly() == first, "{rounds}: the same command changes the global model");
+        let report: serde_json::Value =
+            serde_json::from_slice(&fs::read(out.join("report.json")).unwrap()).unwrap();
+        report.pointer("/whole/quality/psnr").unwrap().as_f64().unwrap()
+    });
+    assert!(two > one - 0.5, "{two:.2} dB instead of {one:.2} dB");
+    for agent in ["agent-1", "agent-2"] {
+        let text = fs::read(folder.path().join("2/agents").join(agent).join("changes-init.json")).unwrap();
+        let changes: Changes = serde_json::from_slice(&text).unwrap();
+        assert!(changes.psnr > 15.0 && changes.new < 0.5, "{agent}: {changes}");
+    }
+}
+
 #[cfg(target_os = "linux")]
 #[test]
 fn an_agent_killed_in_training_changes_nothing() {

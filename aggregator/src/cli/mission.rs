@@ -58,9 +58,13 @@ pub(crate) struct MissionArgs {
     /// views of other cells that look at the margin; 0 for no margin
     #[arg(long, value_name = "SHARE", default_value_t = DEFAULT_MARGIN, value_parser = parse_margin)]
     margin: f64,
-    /// Training steps of each agent
+    /// Training steps of each agent, in all rounds together
     #[arg(long, value_name = "N", default_value_t = 1500, value_parser = clap::value_parser!(u32).range(1..))]
     steps: u32,
+    /// Number of rounds that share the steps: in each, all agents train and their models are merged; in all but the first,
+    /// they begin from the global model of the round before. Two rounds end with a better model than one, for one more merge
+    #[arg(long, value_name = "N", default_value_t = 1, value_parser = clap::value_parser!(u32).range(1..=9))]
+    rounds: u32,
     /// Memory limit of each agent, for example 500MiB
     #[arg(long, value_name = "BYTES", default_value = "1GiB", value_parser = parse_bytes)]
     memory: u64,
@@ -122,6 +126,7 @@ pub(crate) fn run(args: MissionArgs) -> Result<()> {
             division: division(&args)?,
             margin: args.margin,
             steps: args.steps,
+            rounds: args.rounds,
             memory_bytes: Some(args.memory),
             max_size_px: args.max_size,
             seed: args.seed,

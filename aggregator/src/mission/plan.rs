@@ -28,8 +28,12 @@ pub struct Settings {
     /// Width of the margin around each cell, as a share of the cell's size. The cell's agent also gets the views of
     /// other cells that look at this margin; see `partition`.
     pub margin: f64,
-    /// Training steps of each agent.
+    /// Training steps of each agent, in all rounds together.
     pub steps: u32,
+    /// Number of rounds, at least 1. In each, all agents train and their models are merged; in all but the first, they begin
+    /// from the global model of the round before.
+    #[serde(default = "one_round")]
+    pub rounds: u32,
     /// Memory limit of each agent, bytes; `None` to let the agent choose.
     pub memory_bytes: Option<u64>,
     /// Limit on the long side of the training pictures, px; `None` for their full size.
@@ -43,6 +47,10 @@ pub struct Settings {
     pub compress_first: bool,
     /// How the agents' models are merged.
     pub merge: MergeSettings,
+}
+
+fn one_round() -> u32 {
+    1
 }
 
 /// The content of `mission.json`.
@@ -177,17 +185,21 @@ impl Plan {
         self.views.iter().enumerate().filter(its).map(|(_, view)| view.name.clone()).collect()
     }
 
-    /// Writes an agent's configuration into its folder below `out`, and returns that folder.
+    /// Writes an agent's configuration into its folder below `out`, and returns that folder. The agent begins from the global
+    /// model that it has in the folder `before` of the round before, if it has received one.
     pub(crate) fn write_agent_config(
         &self,
         agent: usize,
         settings: &Settings,
         out: &Path,
+        before: Option<&Path>,
         broker: &BrokerAddress,
         threads: usize,
     ) -> Result<PathBuf, PlanError> {
         let device = self.devices[agent];
-        let folder = out.join("agents").join(device.as_str());
+        let folder_in = |out: &Path| out.join("agents").join(device.as_str());
+        let folder = folder_in(out);
+        let init = before.map(|before| folder_in(before).join("global.ply")).filter(|init| init.is_file());
         fs::create_dir_all(&folder).map_err(|cause| SceneError::io(&folder, cause))?;
         let config = AgentConfig {
             device: Some(device),
@@ -211,7 +223,7 @@ impl Plan {
             color_only: false,
             prune: None,
             exposure: false,
-            init: None,
+            init,
             frame: None,
             key: None,
             trusted: None,
@@ -304,6 +316,7 @@ mod tests {
             division: Division::Evenly { agents: 2 },
             margin: 0.0,
             steps: 10,
+            rounds: 1,
             memory_bytes: Some(1 << 30),
             max_size_px: None,
             seed: 7,
@@ -345,7 +358,7 @@ mod tests {
         let out = tempfile::tempdir().unwrap();
         let plan = Plan::make(&row(18), &settings(), out.path(), site("a")).unwrap();
         let broker = "mqtt://h:1".parse().unwrap();
-        let folder = plan.write_agent_config(1, &settings(), out.path(), &broker, 3).unwrap();
+        let folder = plan.write_agent_config(1, &settings(), out.path(), None, &broker, 3).unwrap();
         let text = fs::read_to_string(folder.join("agent.toml")).unwrap();
         let config: AgentConfig = toml::from_str(&text).unwrap();
         assert_eq!((config.device, config.site.as_str()), (Some(plan.devices[1]), "a"));
@@ -361,7 +374,7 @@ mod tests {
             let settings = Settings { division: Division::Evenly { agents }, ..settings() };
             let plan = Plan::make(&row(18), &settings, out.path(), site("a")).unwrap();
             let broker = "mqtt://h:1".parse().unwrap();
-            let folder = plan.write_agent_config(0, &settings, out.path(), &broker, 1).unwrap();
+            let folder = plan.write_agent_config(0, &settings, out.path(), None, &broker, 1).unwrap();
             let text = fs::read_to_string(folder.join("agent.toml")).unwrap();
             assert_eq!(toml::from_str::<AgentConfig>(&text).unwrap().alone, is_alone);
         }
