@@ -20,7 +20,7 @@ use cosurf_agent::status::StatusBoard;
 use cosurf_contract::{AgentConfig, AgentEvent, ComparedWith, Share};
 use cosurf_engine::{PruneSettings, SurfaceSettings, base_of};
 use cosurf_geo::Geodetic;
-use cosurf_link::{Credentials, Identity, Role, next_session};
+use cosurf_link::{Credentials, Identity, Role, SecretKey, next_session};
 use cosurf_scene::{Camera, FolderLock, LocalFrame, Splats, camera_list, ply};
 use cosurf_wire::DeviceId;
 
@@ -32,7 +32,7 @@ use choice::Answer;
 use comparison::Comparison;
 pub(super) use doctor::{DoctorArgs, doctor};
 use reporter::Reporter;
-use route::Route;
+use route::{Connection, Route};
 use watch::Watched;
 
 /// Train with the settings in a configuration file, publish the model to the aggregator, and receive the global model.
@@ -78,7 +78,7 @@ pub(super) fn preflight(PreflightArgs { job: args }: &PreflightArgs) -> Result<(
     let _lock = FolderLock::take(&job.config.out, "cosurf-agent preflight")?;
     let board = StatusBoard::new(job.config.steps);
     let mut progress = Progress::new(args.json);
-    let (reporter, answer) = job.ask(true, &board, &mut progress)?;
+    let (reporter, answer) = job.ask(Route::connect_asking, true, &board, &mut progress)?;
     let is_answered = answer.is_some();
     job.follow_plan(choice::begun_with(&job.config.out), answer, &mut progress)?;
     let report = train::prepare(&job.plan, &job.config.out)?;
@@ -214,20 +214,21 @@ impl Job {
         board: &StatusBoard,
         progress: &mut Progress,
     ) -> Result<Reporter> {
-        let (reporter, answer) = self.ask(begun_with.is_none(), board, progress)?;
+        let (reporter, answer) = self.ask(Route::connect_reporting, begun_with.is_none(), board, progress)?;
         self.follow_plan(begun_with, answer, progress)?;
         Ok(reporter)
     }
 
-    /// Connects. If the agent `asks` for its cell, also returns the answer, unless none arrived in time.
+    /// Connects by `connect`. If the agent `asks` for its cell, also returns the answer, unless none arrived in time.
     fn ask(
         &self,
+        connect: fn(&Route, Identity, Option<&SecretKey>) -> Connection,
         asks: bool,
         board: &StatusBoard,
         progress: &mut Progress,
     ) -> Result<(Reporter, Option<Answer>)> {
         let identity = self.identity()?;
-        let connection = self.route.connect_reporting(identity, self.credentials.key.as_ref());
+        let connection = connect(&self.route, identity, self.credentials.key.as_ref());
         let (credentials, board) = (self.credentials.clone(), self.board(board));
         Ok(Reporter::start(identity, credentials, connection, board, asks, progress))
     }

@@ -7,7 +7,6 @@ use cosurf_aggregator::service::{AggregatorConfig, MemoryBound, neighbours};
 use cosurf_aggregator::store::Store;
 use cosurf_cli::doctor::{Doctor, Finding, clock, colmap, compute, disk, line, memory, port};
 use cosurf_engine::DeviceChoice;
-use cosurf_link::MqttTransport;
 use cosurf_scene::{FolderLock, SceneError};
 
 use super::arguments::ConfigArgs;
@@ -81,9 +80,7 @@ fn check_connections(config: &AggregatorConfig, doctor: &mut Doctor) -> Result<(
     match neighbours(config, session()) {
         Ok(neighbours) => {
             for (setting, neighbour) in neighbours {
-                let to = neighbour.broker.to_string();
-                let mut transport = MqttTransport::start_reporting(neighbour);
-                doctor.tell(&line::check(setting, &to, line::Silence::Fault, &mut transport))?;
+                doctor.tell(&line::broker(setting, neighbour))?;
             }
         }
         Err(error) => doctor.tell(&Finding::failed("settings", error))?,

@@ -4,12 +4,14 @@ use std::sync::mpsc;
 use std::time::{Duration, Instant};
 
 use cosurf_aggregator::broker::{Broker, BrokerError, BrokerEvent, BrokerSettings};
-use cosurf_link::{Role, UploadProgress};
+use cosurf_link::{
+    Identity, MqttConfig, MqttTransport, Outgoing, Role, Transport, TransportEvent, UploadProgress, probe,
+};
 use cosurf_tests::live::{Ground, upload};
 use cosurf_tests::offers::{broker_address, identity, offer};
-use cosurf_wire::{MAX_CHUNK_BYTES, ModelKind};
+use cosurf_wire::{MAX_CHUNK_BYTES, ModelId, ModelKind, Reply, Topic};
 
-use crate::raw::{Hello, Raw};
+use crate::raw::{AN_HOUR, Hello, Raw};
 use crate::station::loopback;
 
 #[test]
@@ -97,4 +99,41 @@ fn a_client_beyond_the_limit_is_refused_until_another_has_left() {
         assert!(begun.elapsed() < Duration::from_secs(20), "the place of the first client is not given away");
         std::thread::sleep(Duration::from_millis(10));
     }
+}
+
+/// What is published to a ground station that is away arrives when it is back, whoever has looked in between.
+#[test]
+fn a_look_at_the_broker_leaves_what_it_keeps() {
+    let broker = Broker::start(loopback()).unwrap();
+    let to = broker_address(broker.address());
+    let config = |identity| MqttConfig { broker: to.clone(), identity, will: None, tls: None, login: None };
+    let open = |start: fn(MqttConfig) -> MqttTransport, identity: Identity| {
+        let mut transport = start(config(identity));
+        assert_eq!(transport.poll(Duration::from_secs(20)), Some(TransportEvent::Connected));
+        transport
+    };
+    let (ground, drone) = (identity(Role::Aggregator, "ground"), identity(Role::Device, "drone"));
+    drop((open(MqttTransport::start, ground), open(MqttTransport::start, drone)));
+    let up = Topic::LocalChunk { device: drone.device, model: ModelId(1), index: 0 }.to_text(&drone.site);
+    let down = Topic::LocalReply { device: drone.device, reply: Reply::Plan }.to_text(&ground.site);
+    for (role, name, topic) in
+        [(Role::Device, "other", up.clone()), (Role::Aggregator, "above", down.clone())]
+    {
+        let mut writer = open(MqttTransport::start, identity(role, name));
+        writer.publish(&Outgoing { topic, payload: vec![7], retain: false }).unwrap();
+    }
+    probe(config(ground)).unwrap();
+    probe(config(drone)).unwrap();
+    drop(open(MqttTransport::start_asking, drone));
+    for (identity, topic) in [(ground, up), (drone, down)] {
+        let mut back = open(MqttTransport::start, identity);
+        let heard = back.poll(Duration::from_secs(5));
+        let kept = TransportEvent::Incoming { topic: topic.as_str().to_owned(), payload: vec![7] };
+        assert_eq!(heard, Some(kept), "{}", identity.device);
+    }
+    let new = identity(Role::Device, "new");
+    probe(config(new)).unwrap();
+    let id = new.client_id();
+    let hello = Hello { id: &id, clean: false, properties: &AN_HOUR, ..Hello::default() };
+    assert!(!Raw::resume(broker.address(), &hello).1, "the look has left a session");
 }

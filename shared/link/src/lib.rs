@@ -48,7 +48,7 @@ pub use inbox::{Inbox, InboxLimits};
 pub use key::ModelKey;
 pub use manifest::{Manifest, Receiver, TileEntry};
 pub use memory::{MemoryNetwork, MemoryTransport};
-pub use mqtt::{BrokerAddress, Login, MqttConfig, MqttTransport, Tls, TlsFiles};
+pub use mqtt::{BrokerAddress, Login, MqttConfig, MqttTransport, Tls, TlsFiles, probe};
 pub use node::{
     Node, NodeEvent, PlannedCell, UploadFault, flight_hash, select_flight_cameras, upload_blocking,
 };

@@ -24,6 +24,7 @@ mod config;
 mod connection;
 mod fault;
 pub mod packet;
+mod probe;
 mod session;
 mod settings;
 mod shared;
@@ -36,6 +37,7 @@ mod worker;
 
 pub use address::{BadAddress, BrokerAddress};
 pub use config::MqttConfig;
+pub use probe::probe;
 pub use settings::Login;
 pub use tls::{Tls, TlsError, TlsFiles};
 
@@ -83,6 +85,12 @@ impl MqttTransport {
     /// for other devices do not use its line.
     pub fn start_reporting(config: MqttConfig) -> Self {
         Self { client: Client::start(config.into_reporting_client()), on_status: None }
+    }
+
+    /// The same under a client id of its own, for a device that asks before a flight: what the broker keeps for the device
+    /// itself stays. A broker that takes the client id from certificates or users drops it all the same.
+    pub fn start_asking(config: MqttConfig) -> Self {
+        Self { client: Client::start(config.into_asking_client()), on_status: None }
     }
 
     /// Hands a status on. Returns false if a message is none. After a restart without `on_status`, the broker may still send

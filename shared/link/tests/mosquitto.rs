@@ -6,7 +6,7 @@ use std::time::{Duration, Instant};
 
 use cosurf_link::{
     BrokerAddress, Identity, MqttConfig, MqttTransport, Outgoing, Role, TlsFiles, Transport, TransportEvent,
-    UploadProgress,
+    UploadProgress, probe,
 };
 use cosurf_tests::live::{Ground, upload};
 use cosurf_tests::mosquitto::{Authority, Mosquitto, PLAIN, example, tls};
@@ -218,4 +218,38 @@ fn attack_14_name_client_id_and_device_are_one() {
     let topic = Topic::State { device: DeviceId::new("thief").unwrap() }.to_text(&elsewhere);
     thief.publish(&Outgoing { topic, payload: vec![1], retain: false }).unwrap();
     assert_eq!(ground.poll(Duration::from_secs(1)), None, "the thief writes on another site");
+}
+
+/// What is published to a ground station that is away arrives when it is back, although `doctor` has looked in between. The
+/// example configuration takes client ids from certificates.
+#[test]
+fn a_look_at_the_broker_leaves_what_it_keeps() {
+    let folder = tempfile::tempdir().unwrap();
+    let authority = Authority::new(folder.path());
+    let files = ["aggregator", "drone", "new"].map(|name| authority.client(name, name, 30));
+    for (settings, is_tls) in [(PLAIN.to_owned(), false), (example(folder.path()), true)] {
+        let Some(broker) = Mosquitto::start(folder.path(), &settings, is_tls) else { return };
+        let config = |identity: Identity, files| {
+            let (broker, tls) = (broker.address.clone(), is_tls.then(|| tls(files)));
+            MqttConfig { broker, identity, will: None, tls, login: None }
+        };
+        let connect = |identity, files| {
+            let mut transport = MqttTransport::start(config(identity, files));
+            assert_eq!(transport.poll(Duration::from_secs(20)), Some(TransportEvent::Connected));
+            transport
+        };
+        let (at_site, drone) = (identity(Role::Aggregator, "ground"), identity(Role::Device, "drone"));
+        drop(connect(at_site, &files[0]));
+        let topic =
+            Topic::LocalChunk { device: drone.device, model: ModelId(1), index: 0 }.to_text(&drone.site);
+        let chunk = Outgoing { topic: topic.clone(), payload: vec![7], retain: false };
+        connect(drone, &files[1]).publish(&chunk).unwrap();
+        for _ in 0..2 {
+            probe(config(at_site, &files[0])).unwrap();
+        }
+        let event = connect(at_site, &files[0]).poll(Duration::from_secs(5));
+        let kept = TransportEvent::Incoming { topic: topic.as_str().to_owned(), payload: vec![7] };
+        assert_eq!(event, Some(kept), "TLS: {is_tls}");
+        probe(config(identity(Role::Device, "new"), &files[2])).unwrap();
+    }
 }

@@ -6,10 +6,10 @@ use std::time::{SystemTime, UNIX_EPOCH};
 
 use anyhow::{Context, Result};
 use clap::Args;
-use cosurf_cli::doctor::line::Silence;
 use cosurf_cli::doctor::{Doctor, Finding, clock, colmap, compute, disk, line, memory};
-use cosurf_contract::{AgentConfig, AgentLink};
-use cosurf_link::{Identity, Role};
+use cosurf_contract::AgentConfig;
+use cosurf_link::serial::DEVICE_MESSAGE_BYTES;
+use cosurf_link::{Identity, MqttConfig, Role, SerialConfig, SerialTransport};
 use cosurf_scene::{FolderLock, SceneError};
 
 use super::route::Route;
@@ -83,9 +83,13 @@ fn line(config: &AgentConfig) -> Result<Finding> {
     let device = config.device.map_or_else(host::device, Ok)?;
     let session = SystemTime::now().duration_since(UNIX_EPOCH).map_or(0, |since| since.as_secs());
     let identity = Identity { site: config.site, device, session, role: Role::Device };
-    let (to, silence) = match config.link()? {
-        AgentLink::Broker { address, .. } => (address.to_string(), Silence::Fault),
-        AgentLink::Serial { port, .. } => (port.to_owned(), Silence::Possible),
-    };
-    Ok(line::check("line", &to, silence, &mut Route::of(config, device)?.connect_reporting(identity, None)))
+    Ok(match Route::of(config, device)? {
+        Route::Broker { broker, tls, login } => {
+            line::broker("line", MqttConfig { broker, identity, will: None, tls, login })
+        }
+        Route::Serial { port, baud } => {
+            let radio = SerialConfig::device(&port, baud, session, DEVICE_MESSAGE_BYTES);
+            line::radio("line", &port, &mut SerialTransport::start(radio))
+        }
+    })
 }

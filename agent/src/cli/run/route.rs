@@ -43,6 +43,11 @@ impl Route {
         self.connect_by(MqttTransport::start_reporting, identity, key)
     }
 
+    /// The same before a flight, beside what the broker keeps for the device itself.
+    pub(super) fn connect_asking(&self, identity: Identity, key: Option<&SecretKey>) -> Connection {
+        self.connect_by(MqttTransport::start_asking, identity, key)
+    }
+
     fn connect_by(
         &self,
         start: fn(MqttConfig) -> MqttTransport,

@@ -5,7 +5,7 @@ use rumqttc::v5::mqttbytes::QoS;
 use rumqttc::v5::mqttbytes::v5::{Filter, RetainForwardRule};
 
 use super::address::BrokerAddress;
-use super::settings::{ClientSettings, Login};
+use super::settings::{ClientSettings, EVENTS_MAX, Login};
 use super::tls::Tls;
 use crate::identity::Identity;
 use crate::transport::Outgoing;
@@ -43,6 +43,18 @@ impl MqttConfig {
         self.subscribed_to(&topics, 0)
     }
 
+    /// The same for a device that asks before a flight, as a client beside the device's own.
+    pub(super) fn into_asking_client(self) -> ClientSettings {
+        let client_id = format!("{}-asking", self.identity.client_id());
+        ClientSettings { client_id, ..self.into_reporting_client() }
+    }
+
+    /// The same for a participant that only tries whether it is let in. Of what the broker has kept, it lets it send as
+    /// little as MQTT allows. It has no will, which would announce the end of a session that has not begun.
+    pub(super) fn into_probing_client(self) -> ClientSettings {
+        ClientSettings { receive_max: 1, will: None, ..self.into_client() }
+    }
+
     /// The same for a participant that also reads how far devices are.
     pub(super) fn into_hearing_client(self) -> ClientSettings {
         let mut filters = self.identity.filters();
@@ -65,6 +77,7 @@ impl MqttConfig {
             login,
             client_id: identity.client_id(),
             session_expiry_s,
+            receive_max: EVENTS_MAX as u16 / 2,
             will,
             filters: filters.collect(),
         }

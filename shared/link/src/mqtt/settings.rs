@@ -27,6 +27,8 @@ pub(super) struct ClientSettings {
     /// How long the broker keeps the session of this client while it is away, seconds; 0 for no longer than the
     /// connection.
     pub(super) session_expiry_s: u32,
+    /// How many messages the broker may send before the client has acknowledged one.
+    pub(super) receive_max: u16,
     pub(super) will: Option<Outgoing>,
     pub(super) filters: Vec<Filter>,
 }
@@ -40,7 +42,7 @@ impl ClientSettings {
     pub(super) fn hello(&self, is_anew: bool) -> Packet {
         let properties = ConnectProperties {
             session_expiry_interval: Some(self.session_expiry_s),
-            receive_maximum: Some(EVENTS_MAX as u16 / 2),
+            receive_maximum: Some(self.receive_max),
             max_packet_size: Some(PACKET_BYTES_MAX as u32),
             ..ConnectProperties::new()
         };

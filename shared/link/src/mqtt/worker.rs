@@ -335,6 +335,7 @@ impl Worker {
     }
 }
 
-fn is_granted(ack: &SubAck) -> bool {
+/// Whether the broker grants all subscriptions.
+pub(super) fn is_granted(ack: &SubAck) -> bool {
     ack.return_codes.iter().all(|code| matches!(code, SubscribeReasonCode::Success(_)))
 }
