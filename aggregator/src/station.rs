@@ -25,6 +25,7 @@ mod state;
 #[cfg(test)]
 mod tests;
 mod token;
+mod waiting;
 
 pub use action::{Act, Action};
 pub use board::Board;

@@ -52,6 +52,11 @@ impl Guard {
     /// Decides on a request. The error is the answer to one that is not let through.
     fn admit(&self, method: &Method, uri: &Uri, headers: &HeaderMap) -> Result<(), Box<Response>> {
         let host = text(headers, HOST).unwrap_or_default();
+        // A proxy in front might look at another of them than this server.
+        let is_another = uri.authority().is_some_and(|authority| authority.as_str() != host);
+        if headers.get_all(HOST).iter().count() > 1 || is_another {
+            return Err(refuse(StatusCode::BAD_REQUEST, "name this server once, in the header Host"));
+        }
         // A page of another site whose name was made to lead here would otherwise read everything.
         if self.is_local && !is_local_name(host) {
             return Err(refuse(StatusCode::FORBIDDEN, "open this server as 127.0.0.1 or localhost"));
@@ -150,6 +155,8 @@ mod tests {
         assert_eq!(status(&guard, Method::GET, "/", &[("host", "evil.example")]), 403);
         assert_eq!(status(&guard, Method::GET, "/", &[("host", "127.0.0.1.evil.example")]), 403);
         assert_eq!(status(&guard, Method::GET, "/", &[]), 403);
+        assert_eq!(status(&guard, Method::GET, "http://evil.example/", &[host]), 400);
+        assert_eq!(status(&guard, Method::GET, "http://127.0.0.1:8080/", &[host]), 200);
         assert_eq!(status(&guard, Method::POST, "/x", &[host]), 401);
         assert_eq!(status(&guard, Method::POST, "/x", &[host, ("authorization", &bearer)]), 200);
         assert_eq!(status(&guard, Method::POST, "/x", &[host, ("cookie", &cookie)]), 200);

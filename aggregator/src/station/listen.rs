@@ -1,22 +1,26 @@
 //! The server: accepts connections and bounds what each of them may take. A connection serves one request, so that an idle
-//! one never outlives the time for a request's head.
+//! one never outlives the time for a request's head; it ends earlier if another needs its place.
 
+use std::cell::Cell;
 use std::net::{IpAddr, SocketAddr};
 use std::sync::Arc;
 use std::time::Duration;
 
 use axum::{Extension, Router};
 use hyper::server::conn::http1;
+use hyper::service::{Service, service_fn};
 use hyper_util::rt::{TokioIo, TokioTimer};
 use hyper_util::service::TowerToHyperService;
 use tokio::net::{TcpListener, TcpStream};
 use tokio::runtime::{Builder, Runtime};
-use tokio::sync::Semaphore;
+use tokio::sync::{OwnedSemaphorePermit, Semaphore};
 use tokio::time::{sleep, timeout};
 
 use super::error::StationError;
+use super::waiting::{Place, Waiting};
 
-/// Largest number of connections; further ones are closed at once. A page needs two, a browser opens up to six.
+/// Largest number of connections. A further one takes the place of one whose request has not arrived, or is closed at once.
+/// A page needs two, a browser opens up to six.
 const CONNECTIONS_MAX: usize = 128;
 /// Time within which the head of a request must arrive.
 const HEAD_WITHIN: Duration = Duration::from_secs(5);
@@ -68,28 +72,46 @@ impl Drop for Server {
 
 async fn accept(listener: TcpListener, routes: Router) {
     let room = Arc::new(Semaphore::new(CONNECTIONS_MAX));
+    let waiting = Waiting::default();
     loop {
         let Ok((stream, from)) = listener.accept().await else {
             sleep(PAUSE).await;
             continue;
         };
-        let Ok(permit) = room.clone().try_acquire_owned() else { continue };
+        let Some(permit) = permit(&room, &waiting).await else { continue };
         let routes = routes.clone().layer(Extension(Peer(from.ip())));
-        tokio::spawn(async move {
-            let _ = timeout(CONNECTION_MAX, serve(stream, routes)).await;
-            drop(permit);
+        waiting.add(from.ip(), |place| {
+            tokio::spawn(async move {
+                let _ = timeout(CONNECTION_MAX, serve(stream, routes, place)).await;
+                drop(permit);
+            })
         });
     }
 }
 
-/// Serves one request. Errors are those of the other end, which nobody can mend here.
-async fn serve(stream: TcpStream, routes: Router) {
+/// A permit for a connection; `None` if the server is full and no connection can make room.
+async fn permit(room: &Arc<Semaphore>, waiting: &Waiting) -> Option<OwnedSemaphorePermit> {
+    if let Ok(permit) = room.clone().try_acquire_owned() {
+        return Some(permit);
+    }
+    // The connection that ends gives its permit back.
+    if waiting.make_room() { room.clone().acquire_owned().await.ok() } else { None }
+}
+
+/// Serves one request. Once it has arrived, the connection no longer waits. Errors are those of the other end, which nobody
+/// can mend here.
+async fn serve(stream: TcpStream, routes: Router, place: Place) {
+    let (routes, place) = (TowerToHyperService::new(routes), Cell::new(Some(place)));
+    let service = service_fn(move |request| {
+        drop(place.take());
+        routes.call(request)
+    });
     let connection = http1::Builder::new()
         .timer(TokioTimer::new())
         .header_read_timeout(HEAD_WITHIN)
         .max_buf_size(HEAD_BYTES_MAX)
         .max_headers(HEADERS_MAX)
         .keep_alive(false)
-        .serve_connection(TokioIo::new(stream), TowerToHyperService::new(routes));
+        .serve_connection(TokioIo::new(stream), service);
     let _ = connection.await;
 }

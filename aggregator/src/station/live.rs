@@ -19,7 +19,7 @@ use futures_util::stream::unfold;
 use serde::{Deserialize, Serialize};
 use tokio::sync::{OwnedSemaphorePermit, Semaphore, watch};
 use tokio::task::spawn_blocking;
-use tokio::time::sleep;
+use tokio::time::{sleep, timeout};
 
 use super::action::{Act, Action};
 use super::audit::Audit;
@@ -38,6 +38,8 @@ const EVENT_EVERY: Duration = Duration::from_millis(500);
 const ALIVE_EVERY: Duration = Duration::from_secs(5);
 /// Largest body of a request, bytes.
 const BODY_BYTES_MAX: usize = 4096;
+/// Time within which the body of a request must arrive.
+const BODY_WITHIN: Duration = Duration::from_secs(5);
 
 /// A running site for its routes.
 #[derive(Clone)]
@@ -205,6 +207,7 @@ async fn merge(State(live): State<Live>, Extension(by): Extension<Peer>) -> Resp
     live.act(Action::Merge, by.0).await
 }
 
+/// The body, unless it is too large or too slow.
 async fn body_of(request: Request) -> Option<Bytes> {
-    to_bytes(request.into_body(), BODY_BYTES_MAX).await.ok()
+    timeout(BODY_WITHIN, to_bytes(request.into_body(), BODY_BYTES_MAX)).await.ok()?.ok()
 }
