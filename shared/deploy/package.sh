@@ -39,10 +39,19 @@ pack_debian() {
     done
 }
 
-# Makes a zip of the programs for Windows.
+# Fails if a program needs a library of the compiler, which a computer with Windows does not have.
+check_libraries() {
+    local foreign
+    foreign="$(x86_64-w64-mingw32-objdump -p "$@" | sed -n 's/.*DLL Name: \(lib.*\)/\1/p' | sort -u)"
+    [ -z "$foreign" ] || { echo "package.sh: the programs for Windows need $foreign; link it statically" >&2; exit 1; }
+}
+
+# Makes a zip of the programs for Windows. CXXSTDLIB_STATIC makes cc link the library of C++ that meshopt uses statically.
 pack_windows() {
     local target=x86_64-pc-windows-gnu name
-    CARGO_TARGET_DIR="$CROSS" cargo build --locked --profile lean --target "$target" "${PROGRAMS[@]/#/--package=}"
+    CXXSTDLIB_STATIC=1 CARGO_TARGET_DIR="$CROSS" \
+        cargo build --locked --profile lean --target "$target" "${PROGRAMS[@]/#/--package=}"
+    check_libraries "$CROSS/$target/lean/"cosurf-{agent,aggregator}.exe
     name="cosurf-$(cargo pkgid -p cosurf-agent | sed 's/.*[@#]//')-windows-x86_64"
     rm -rf "target/windows/$name" "target/windows/$name.zip"
     mkdir -p "target/windows/$name"

@@ -10,6 +10,7 @@
 //! - [`datasets`]: synthetic cities and the datasets that benches use. [`programs`]: the paths of the programs that
 //!   cargo has built. [`running`]: such a program beside a test. [`dice`]: random numbers. [`mutate`]: changed samples.
 //! - [`chromium`]: a headless browser. [`axe`]: checks of its pages for people without a mouse or a screen.
+//! - [`wine`]: programs for Windows under Wine.
 //! - [`usage`]: the memory and time that a child process takes.
 //! - [`slow_line`]: a line to a broker that is slow and breaks.
 //!   [`web_door`]: a WebSocket listener in front of a broker.
@@ -46,3 +47,4 @@ pub mod slow_line;
 pub mod stranger;
 pub mod usage;
 pub mod web_door;
+pub mod wine;
