@@ -50,7 +50,7 @@ mod tests {
                 center_px: DVec2::splat(50.0),
                 size_px: [100, 100],
             };
-            View { name: format!("{i:03}.jpg"), camera, path: "x".into() }
+            View { name: format!("{i:03}.jpg"), camera, path: "x".into(), mask: None }
         };
         Dataset { views: (0..count).map(view).collect(), points: Vec::new() }
     }

@@ -2,13 +2,12 @@
 
 use anyhow::Result;
 use cosurf_engine::Rendering;
-use cosurf_scene::metrics::{psnr, ssim};
-use cosurf_scene::{Camera, Picture, Shrinking, View};
+use cosurf_scene::{Camera, Shrinking, View, mask, metrics};
 use serde::Serialize;
 use tracing::info_span;
 
-/// The picture in bytes, then in 32-bit floats.
-const TRUTH_BYTES_PER_PIXEL: u64 = 3 + 12;
+/// The picture in bytes, then in 32-bit floats, and which of its pixels count.
+const TRUTH_BYTES_PER_PIXEL: u64 = 3 + 12 + 1;
 /// SSIM keeps five maps of three channels in 64-bit floats, of 13 rows.
 const SSIM_BYTES_PER_COLUMN: u64 = 13 * 5 * 3 * 8;
 
@@ -41,12 +40,15 @@ pub fn scratch_bytes(views: &[View], max_size_px: u32, shrinking: Shrinking) -> 
         let size_px = view.camera.fitted_size(max_size_px);
         let pixels = u64::from(size_px[0]) * u64::from(size_px[1]);
         let row = u64::from(size_px[0]) * SSIM_BYTES_PER_COLUMN;
-        Ok(Picture::scratch_bytes(&view.path, size_px, shrinking)? + pixels * TRUTH_BYTES_PER_PIXEL + row)
+        let mask = view.mask.as_ref();
+        let reading = mask::scratch_bytes(&view.path, mask, size_px, shrinking)?;
+        Ok(reading + pixels * TRUTH_BYTES_PER_PIXEL + row)
     };
     views.iter().try_fold(0, |most, view| Ok(of(view)?.max(most)))
 }
 
-/// Renders each view with a long side of at most `max_size_px`, and compares the rendering with the view's picture.
+/// Renders each view with a long side of at most `max_size_px`, and compares the rendering with the pixels of the view's
+/// picture that count.
 /// Rendered colours are first clamped to 0..=1, as they are in a picture file. Fails if a picture cannot be read or
 /// rendered.
 pub fn score(
@@ -62,9 +64,9 @@ pub fn score(
             let size_px = view.camera.fitted_size(max_size_px);
             // The model first: how much of it fits depends on what the process holds already.
             let mut rendering = render(&view.camera.resized(size_px))?;
-            let truth = Picture::read_shrunk(&view.path, size_px, shrinking)?.to_unit();
+            let photograph = mask::read(&view.path, view.mask.as_ref(), size_px, shrinking)?;
             rendering.rgb.iter_mut().for_each(|v| *v = v.clamp(0.0, 1.0));
-            let (psnr, ssim) = (psnr(&rendering.rgb, &truth), ssim(&rendering.rgb, &truth, size_px));
+            let [psnr, ssim] = metrics::scores(&rendering.rgb, &photograph);
             Ok(ViewScore { name: view.name.clone(), psnr, ssim })
         })
         .collect::<Result<Vec<_>>>()?;

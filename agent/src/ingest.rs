@@ -14,6 +14,7 @@ mod colmap;
 mod control;
 mod error;
 mod lens;
+mod masks;
 mod pairs;
 mod photographs;
 mod placing;
@@ -74,7 +75,7 @@ pub fn ingest(plan: &IngestPlan, tell: &mut dyn FnMut(AgentEvent)) -> Result<Ing
     refuse_occupied(&plan.out, &work)?;
     let _lock = FolderLock::take(&work, "cosurf-agent ingest")?;
     let colmap = Colmap::find(&plan.colmap)?;
-    let photographs = Photographs::read(&plan.photographs)?;
+    let photographs = masks::prepare(Photographs::read(&plan.photographs)?, &work)?;
     let count = photographs.usable.len();
     let all = count + photographs.left_out.len();
     tell(AgentEvent::Ingesting {
@@ -101,6 +102,7 @@ pub fn ingest(plan: &IngestPlan, tell: &mut dyn FnMut(AgentEvent)) -> Result<Ing
     let placed = settle(&mut its, places.as_ref(), &mut |event| stages.tell(event))?;
     stages.run(&recipe.undistorting(&its)?)?;
 
+    masks::join(&work, &recipe.undistorted())?;
     let (dataset, _) = Dataset::open_within(&recipe.undistorted(), usize::MAX)?;
     tell_left_out(tell, &unposed(&photographs, &its, &others));
     tell_left_out(tell, &placed.left_out);

@@ -18,7 +18,7 @@ fn edges(@builtin(workgroup_id) group: vec3<u32>, @builtin(local_invocation_inde
     }
     workgroupBarrier();
     let pixel = pixel_of(group_index(group), lane);
-    if (all(pixel > vec2(0u)) && all(pixel + 1u < view.size_px)) {
+    if (all(pixel > vec2(0u)) && all(pixel + 1u < view.size_px) && !is_beside_mask(pixel)) {
         let bits = bitcast<u32>(luma_slope(pixel));
         atomicMin(&least, bits);
         atomicMax(&most, bits);

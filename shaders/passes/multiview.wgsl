@@ -66,7 +66,7 @@ fn sample_loss(pixel: vec2<u32>) -> vec4<f32> {
         return vec4(0.0);
     }
     let z = depth[line_place(pixel)];
-    if (!(z > 0.0)) {
+    if (!(z > 0.0) || luma_plane[line_place(pixel)] < 0.0) {
         return vec4(0.0);
     }
     let plane = plane_at(pixel);
@@ -128,7 +128,7 @@ fn reprojection_error(pixel: vec2<f32>, ray: vec3<f32>, z: f32) -> vec2<f32> {
     }
     let q = projected(there, by, pair.focal_px, pair.center_px);
     let found = bilinear_depth(q.at_px);
-    if (!(found.least > 0.0)) {
+    if (!(found.least > 0.0) || bilinear_luma(q.at_px).least < 0.0) {
         return never;
     }
     let by_depth = dot(found.slope, q.by_px);
@@ -245,6 +245,9 @@ fn patches(pixel: vec2<u32>, plane: vec4<f32>) -> Match {
             return none;
         }
         here[i] = luma_plane[line_place(at)];
+        if (here[i] < 0.0) {
+            return none;
+        }
         there[i] = found.value;
         slopes[i] = dot(found.slope, q.by_px);
         means += vec2(here[i], there[i]);

@@ -4,7 +4,8 @@
 // A pixel with depth z and ray r shows the point P = z r. The normal from depth at a pixel (x, y) is
 // n = h × v / |h × v| with h = P(x + k, y) - P(x - k, y), v = P(x, y - k) - P(x, y + k) and k = NORMAL_REACH.
 // The loss of a pixel is w |α n - N|₁: w is the weight for edges, N the blended normal, and α the alpha of the pixel,
-// held constant. The loss is 0 if one of the four pixels is outside the picture or has no depth.
+// held constant. The loss is 0 if one of the four pixels is outside the picture or has no depth,
+// or if one of them or the pixel is masked.
 // Parts: types, pixels, surface, luma_slope, tile_sum.
 
 @group(0) @binding(0) var<uniform> view: View;
@@ -65,7 +66,7 @@ fn normal_loss(pixel: vec2<u32>) -> Given {
     let v = z.z * (ray - down) - z.w * (ray + down);
     let c = cross(h, v);
     let length2 = dot(c, c);
-    if (!(all(z > vec4(0.0)) && length2 > 1e-30)) {
+    if (!(all(z > vec4(0.0)) && length2 > 1e-30) || is_beside_mask(pixel)) {
         return Given();
     }
     let inv_length = 1.0 / sqrt(length2);

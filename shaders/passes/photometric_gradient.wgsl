@@ -58,7 +58,7 @@ fn photometric_gradient(@builtin(workgroup_id) group: vec3<u32>, @builtin(local_
     let pixel = job.origin + vec2(lane % TILE, lane / TILE);
     var slope = 0.0;
     var differences = vec4(0.0);
-    if (is_inside(pixel)) {
+    if (is_inside(pixel) && !is_masked(3u * line_place(pixel))) {
         let x = image[pixel_place(view.planes, job.channel, pixel)];
         let y = photographed(pixel, job.channel);
         let exposed = x * settings.gain + settings.offset - y;

@@ -32,6 +32,8 @@ fn ssim(@builtin(workgroup_id) group: vec3<u32>, @builtin(local_invocation_index
         var color = vec2(0.0);
         if (is_inside(pixel)) {
             color = vec2(image[pixel_place(view.planes, job.channel, pixel)], photographed(pixel, job.channel));
+            // A masked pixel looks as the photograph does in the windows of the pixels around it.
+            color.y = select(color.y, color.x, is_masked(3u * line_place(pixel)));
         }
         colors[k] = color;
     }
@@ -56,8 +58,12 @@ fn ssim(@builtin(workgroup_id) group: vec3<u32>, @builtin(local_invocation_index
         m += window[tap] * filtered[lane + tap * TILE];
         xy += window[tap] * products[lane + tap * TILE];
     }
-    let is_pixel = is_inside(job.origin + vec2(lane % TILE, lane / TILE));
-    let here = ssim_here(m, xy);
+    let pixel = job.origin + vec2(lane % TILE, lane / TILE);
+    let is_pixel = is_inside(pixel);
+    var here = ssim_here(m, xy);
+    if (is_pixel && is_masked(3u * line_place(pixel))) {
+        here = vec4(1.0, 0.0, 0.0, 0.0);
+    }
     let partial = select(vec3(0.0), here.yzw, is_pixel);
     for (var k = 0u; k < 3u; k++) {
         partials[(job.tile * PARTIALS + 3u * job.channel + k) * TILE_PIXELS + lane] = partial[k];

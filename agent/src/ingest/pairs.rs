@@ -64,6 +64,7 @@ mod tests {
             }),
             has_exif_gps: false,
             state: [0; 2],
+            mask: None,
         };
         let photographs: Vec<_> = (0..60).map(photograph).collect();
         let pairs = pairs(&photographs);

@@ -6,7 +6,7 @@ use std::path::{Path, PathBuf};
 use std::time::UNIX_EPOCH;
 
 use cosurf_geo::{ControlPoint, Gps, PhotoInfo, read_gcp_list, read_geo_txt};
-use cosurf_scene::{Picture, SceneError};
+use cosurf_scene::{Mask, Picture, SceneError, is_of_masks, mask_of};
 
 use super::error::IngestError;
 
@@ -31,6 +31,8 @@ pub(super) struct Photograph {
     pub(super) has_exif_gps: bool,
     /// Size and time of the file, which tell whether it is the same as in an earlier run.
     pub(super) state: [u64; 2],
+    /// The mask, and the same of its file.
+    pub(super) mask: Option<(Mask, [u64; 2])>,
 }
 
 /// Usable photographs, in the order of their names.
@@ -59,15 +61,18 @@ impl Photographs {
         let control = list("gcp_list.txt").map(|path| read_gcp_list(&path)).transpose()?.unwrap_or_default();
         let mut all = Self { folder, usable: Vec::new(), left_out: Vec::new(), control };
         for name in names {
-            match read(&all.folder, &name, &places) {
+            match read(&all.folder, &name, &places, root) {
                 Ok(photograph) => all.usable.push(photograph),
                 Err(reason) => all.left_out.push((name, reason)),
             }
         }
-        if all.usable.len() < 3 {
-            return Err(IngestError::TooFew { folder: all.folder, found: all.usable.len() });
-        }
-        Ok(all)
+        all.enough()
+    }
+
+    /// An error if there are too few.
+    pub(super) fn enough(self) -> Result<Self, IngestError> {
+        let found = self.usable.len();
+        if found < 3 { Err(IngestError::TooFew { folder: self.folder, found }) } else { Ok(self) }
     }
 
     /// Number of usable photographs with GPS.
@@ -96,7 +101,10 @@ fn collect(folder: &Path, prefix: &str, depth: usize, names: &mut Vec<String>) -
         });
         let name = format!("{prefix}{}", name.to_string_lossy());
         let path = entry.path();
-        if path.is_dir() && depth > 0 && !entry.file_name().to_string_lossy().starts_with('.') {
+        let last = entry.file_name();
+        let last = last.to_string_lossy();
+        let is_left_out = last.starts_with('.') || prefix.is_empty() && is_of_masks(&last);
+        if path.is_dir() && depth > 0 && !is_left_out {
             collect(&path, &format!("{name}/"), depth - 1, names)?;
         } else if is_picture && path.is_file() {
             names.push(name);
@@ -110,7 +118,12 @@ fn collect(folder: &Path, prefix: &str, depth: usize, names: &mut Vec<String>) -
 }
 
 /// A photograph; the reason in words if it cannot be used.
-fn read(folder: &Path, name: &str, places: &HashMap<String, Gps>) -> Result<Photograph, String> {
+fn read(
+    folder: &Path,
+    name: &str,
+    places: &HashMap<String, Gps>,
+    masks_beside: &Path,
+) -> Result<Photograph, String> {
     // COLMAP reads names from lists with a line for each.
     if name.contains(|c: char| c.is_control() || c == char::REPLACEMENT_CHARACTER)
         || name.len() > NAME_BYTES_MAX
@@ -120,9 +133,8 @@ fn read(folder: &Path, name: &str, places: &HashMap<String, Gps>) -> Result<Phot
     let path = folder.join(name);
     let size_px = Picture::size_of_whole(&path).map_err(|error| reason(&error))?;
     let info = PhotoInfo::read(&path).map_err(|error| error.to_string())?;
-    let file = fs::metadata(&path).map_err(|error| error.to_string())?;
-    let time = file.modified().ok().and_then(|time| time.duration_since(UNIX_EPOCH).ok());
-    let state = [file.len(), time.map_or(0, |time| time.as_nanos() as u64)];
+    let mask = mask_of(masks_beside, Path::new(name));
+    let mask = mask.map(|mask| state(&mask.path).map(|state| (mask, state))).transpose()?;
     let listed = places.get(name).or_else(|| places.get(name.rsplit('/').next().unwrap_or(name))).copied();
     let has_exif_gps = info.gps.is_some() && listed.is_none();
     Ok(Photograph {
@@ -131,12 +143,20 @@ fn read(folder: &Path, name: &str, places: &HashMap<String, Gps>) -> Result<Phot
         camera: info.camera,
         gps: listed.or(info.gps),
         has_exif_gps,
-        state,
+        state: state(&path)?,
+        mask,
     })
 }
 
+/// Size and time of a file.
+fn state(path: &Path) -> Result<[u64; 2], String> {
+    let file = fs::metadata(path).map_err(|error| error.to_string())?;
+    let time = file.modified().ok().and_then(|time| time.duration_since(UNIX_EPOCH).ok());
+    Ok([file.len(), time.map_or(0, |time| time.as_nanos() as u64)])
+}
+
 /// The reason of an error, without the path, which is told beside it.
-fn reason(error: &SceneError) -> String {
+pub(super) fn reason(error: &SceneError) -> String {
     match error {
         SceneError::Malformed { reason, .. } => reason.clone(),
         other => other.to_string(),
@@ -167,11 +187,15 @@ mod tests {
         fs::write(at("empty.jpg"), "").unwrap();
         let whole = fs::read(at("B.JPG")).unwrap();
         fs::write(at("short.JPG"), &whole[..whole.len() - 50]).unwrap();
+        photograph(&at("masks/B.JPG.png"), [32, 24]);
         fs::write(at("notes.txt"), "no picture").unwrap();
         fs::write(at("geo.txt"), "EPSG:4326\nB.JPG 16.5 53.0 70\n").unwrap();
         let found = Photographs::read(folder.path()).unwrap();
         let names: Vec<&str> = found.usable.iter().map(|photograph| &*photograph.name).collect();
         assert_eq!(names, ["100MEDIA/B.JPG", "B.JPG", "a b ü.jpeg", "portrait.jpg"]);
+        let masked: Vec<&str> =
+            found.usable.iter().filter(|its| its.mask.is_some()).map(|its| &*its.name).collect();
+        assert_eq!(masked, ["B.JPG"]);
         assert_eq!(found.with_gps(), 2, "geo.txt of ODM names files without folders");
         assert_eq!(found.by_lens().iter().map(Vec::len).collect::<Vec<_>>(), [1, 3]);
         let left_out: Vec<&str> = found.left_out.iter().map(|(name, _)| &**name).collect();

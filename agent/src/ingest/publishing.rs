@@ -15,7 +15,7 @@ use super::stages::remove;
 /// Tells what a finished dataset was made of.
 const FINISHED: &str = "ingest.json";
 
-/// Writes `sparse/0`, `images` and, if the place is known, `geo.json` into the folder `out`. `work` is a folder on the same
+/// Writes `sparse/0`, `images`, `masks` if there are any, and `geo.json` if the place is known, into the folder `out`. `work` is a folder on the same
 /// disk for what is not complete.
 pub(super) fn publish(
     out: &Path,
@@ -25,7 +25,13 @@ pub(super) fn publish(
 ) -> Result<(), IngestError> {
     let geo = out.join(Georeference::FILE);
     remove(&geo)?; // until it is true again
-    write_pictures(&out.join("images"), work, dataset)?;
+    let pictures = dataset.views.iter().map(|view| (view.name.as_str(), view.path.as_path()));
+    write_pictures(&out.join("images"), work, pictures)?;
+    let masked = dataset
+        .views
+        .iter()
+        .filter_map(|view| Some((view.name.as_str(), view.mask.as_ref()?.path.as_path())));
+    write_pictures(&out.join("masks"), work, masked)?;
     colmap::write(out, dataset)?;
     if let Some(georeference) = georeference {
         atomic::write_bytes(&geo, georeference.to_json().as_bytes())?;
@@ -54,22 +60,28 @@ pub(super) fn is_finished(out: &Path) -> bool {
     out.join(FINISHED).is_file()
 }
 
-/// Replaces the folder of pictures in one step.
-fn write_pictures(images: &Path, work: &Path, dataset: &Dataset) -> Result<(), IngestError> {
+/// Replaces a folder of pictures, given by name and file, in one step. Without pictures, there is no folder.
+fn write_pictures<'a>(
+    images: &Path,
+    work: &Path,
+    pictures: impl Iterator<Item = (&'a str, &'a Path)>,
+) -> Result<(), IngestError> {
     let (new, old) = (work.join("images.new"), work.join("images.old"));
     remove(&new)?;
     remove(&old)?;
-    for view in &dataset.views {
-        let to = new.join(&view.name);
+    for (name, path) in pictures {
+        let to = new.join(name);
         let folder = to.parent().unwrap_or(&new);
         fs::create_dir_all(folder).map_err(|cause| SceneError::io(folder, cause))?;
-        link_or_copy(&view.path, &to).map_err(|cause| SceneError::io(&to, cause))?;
+        link_or_copy(path, &to).map_err(|cause| SceneError::io(&to, cause))?;
     }
     let rename = |from: &Path, to: &Path| fs::rename(from, to).map_err(|cause| SceneError::io(to, cause));
     if images.is_dir() {
         rename(images, &old)?;
     }
-    rename(&new, images)?;
+    if new.is_dir() {
+        rename(&new, images)?;
+    }
     remove(&old)
 }
 
@@ -92,6 +104,7 @@ mod tests {
         let (out, work) = (folder.path().join("out"), folder.path().join("work"));
         fs::create_dir_all(out.join("images")).unwrap();
         fs::write(out.join("images/stale.jpg"), "of an earlier run").unwrap();
+        fs::create_dir_all(out.join("masks")).unwrap();
         fs::write(out.join(Georeference::FILE), "of an earlier run").unwrap();
         let picture = folder.path().join("a ü.jpg");
         fs::write(&picture, "pixels").unwrap();
@@ -101,11 +114,11 @@ mod tests {
             center_px: DVec2::new(320.0, 240.0),
             size_px: [640, 480],
         };
-        let view = View { name: "100MEDIA/a ü.jpg".into(), camera, path: picture };
+        let view = View { name: "100MEDIA/a ü.jpg".into(), camera, path: picture, mask: None };
         let dataset = Dataset { views: vec![view], points: Vec::new() };
         publish(&out, &work, &dataset, None).unwrap();
         assert_eq!(fs::read(out.join("images/100MEDIA/a ü.jpg")).unwrap(), b"pixels");
-        assert!(!out.join("images/stale.jpg").exists());
+        assert!(!out.join("images/stale.jpg").exists() && !out.join("masks").exists());
         assert!(!out.join(Georeference::FILE).exists());
         let read = |name: &str| fs::read(out.join("sparse/0").join(name)).unwrap();
         let files = [read("cameras.bin"), read("images.bin"), read("points3D.bin")];

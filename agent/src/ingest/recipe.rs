@@ -9,6 +9,7 @@ use cosurf_scene::{SceneError, atomic};
 
 use super::colmap::Colmap;
 use super::error::IngestError;
+use super::masks;
 use super::pairs::{NEIGHBOURS, pairs};
 use super::photographs::Photographs;
 use super::reconstruction::Reconstruction;
@@ -65,7 +66,7 @@ impl<'a> Recipe<'a> {
             let list = self.work.join(format!("lens-{i}.txt"));
             let names: String = lens.iter().map(|photograph| format!("{}\n", photograph.name)).collect();
             atomic::write_bytes(&list, names.as_bytes())?;
-            let options = [
+            let mut options = vec![
                 self.database(),
                 self.images(),
                 (&["image_list_path"][..], list.into()),
@@ -77,6 +78,9 @@ impl<'a> Recipe<'a> {
                     FEATURES_PX.to_string().into(),
                 ),
             ];
+            if self.is_masked() {
+                options.push((&["ImageReader.mask_path"], masks::folder(&self.work).into()));
+            }
             commands.push((self.colmap.command("feature_extractor", &options)?, lens.len()));
         }
         let database = self.work.join("database.db");
@@ -169,23 +173,29 @@ impl<'a> Recipe<'a> {
     pub(super) fn undistorting(&self, its: &Reconstruction) -> Result<Stage, IngestError> {
         let (adjusted, folder) = (self.work.join("adjusted"), self.undistorted());
         its.write(&adjusted)?;
-        let options = [
-            self.images(),
-            (&["input_path"][..], (&adjusted).into()),
-            (&["output_path"], (&folder).into()),
-            (&["output_type"], "COLMAP".into()),
-            (&["max_image_size"], self.max_size_px.to_string().into()),
-        ];
-        let commands = vec![(self.colmap.command("image_undistorter", &options)?, its.posed.len())];
+        let undistort = |pictures: &Path, folder: &Path| {
+            let options = [
+                (&["image_path"][..], pictures.into()),
+                (&["input_path"], (&adjusted).into()),
+                (&["output_path"], folder.into()),
+                (&["output_type"], "COLMAP".into()),
+                (&["max_image_size"], self.max_size_px.to_string().into()),
+            ];
+            Ok::<_, IngestError>((self.colmap.command("image_undistorter", &options)?, its.posed.len()))
+        };
+        let (mut commands, mut folders) = (vec![undistort(&self.folder, &folder)?], vec![folder]);
+        if self.is_masked() {
+            let folder = masks::undistorted(&self.work);
+            commands.push(undistort(&masks::as_pictures(&self.work), &folder)?);
+            folders.push(folder);
+        }
         let inputs = vec![adjusted.join("cameras.bin"), adjusted.join("images.bin")];
-        let folder = vec![folder];
-        Ok(Stage {
-            kind: IngestStage::Undistorting,
-            commands,
-            inputs,
-            removed: folder.clone(),
-            folders: folder,
-        })
+        let removed = folders.clone();
+        Ok(Stage { kind: IngestStage::Undistorting, commands, inputs, removed, folders })
+    }
+
+    fn is_masked(&self) -> bool {
+        self.photographs.usable.iter().any(|photograph| photograph.mask.is_some())
     }
 
     /// The folder of the undistorted dataset.

@@ -5,7 +5,7 @@
 use std::os::unix::fs::PermissionsExt;
 
 use cosurf_geo::SiteFrame;
-use cosurf_scene::{Camera, Picture, Pose, SparsePoint, View, colmap};
+use cosurf_scene::{Camera, Picture, Pose, Shrinking, SparsePoint, View, colmap, mask};
 use glam::{DQuat, DVec2, DVec3};
 use tempfile::TempDir;
 
@@ -20,7 +20,7 @@ const SCRIPT: &str = r#"#!/bin/sh
 here=$(dirname "$0")
 case "$1 $2" in
 "help "*) echo "COLMAP 3.8 -- Structure-from-Motion"; echo "  image_undistorter"; exit 0;;
-*" --help") echo "  --database_path arg  --image_path arg --image_list_path arg --input_path arg --output_path arg"; exit 0;;
+*" --help") echo "  --database_path arg  --image_path arg --image_list_path arg --input_path arg --output_path arg --ImageReader.mask_path arg"; exit 0;;
 esac
 command=$1; shift
 echo "$command" >> "$here/calls"
@@ -29,6 +29,8 @@ while [ $# -gt 0 ]; do
   case "$1" in
   --output_path) out=$2;;
   --input_path) in=$2;;
+  --image_path) images=$2;;
+  --ImageReader.mask_path) cp -r "$2" "$here/seen-masks";;
   esac
   shift
 done
@@ -36,7 +38,8 @@ case "$command" in
 feature_extractor) echo "Processed file [4/4]";;
 mapper) mkdir "$out/0"; cp "$here/undistorted/sparse/"* "$out/0";;
 model_converter) cp "$here/text/"* "$out";;
-image_undistorter) cp -r "$here/undistorted/." "$out"; cp "$in/images.bin" "$in/points3D.bin" "$out/sparse";;
+image_undistorter) cp -r "$here/undistorted/." "$out"; cp "$in/images.bin" "$in/points3D.bin" "$out/sparse"
+  case "$images" in *masks-as-pictures) cp -r "$images/." "$out/images";; esac;;
 esac
 "#;
 
@@ -72,6 +75,7 @@ impl Flight {
                 name: name.clone(),
                 camera,
                 path: flight.at("undistorted/images").join(&name),
+                mask: None,
             });
             let place = site.geodetic_from_enu(enu);
             geo += &format!("{name} {} {} {}\n", place.longitude_deg, place.latitude_deg, place.height_m);
@@ -255,4 +259,30 @@ fn folders_of_others_and_missing_programs_are_refused() {
     let onto_photographs = IngestPlan { out: flight.at("photos"), ..flight.plan() };
     let error = flight.run(&onto_photographs).0.unwrap_err().to_string();
     assert!(error.contains("--out"), "{error}");
+}
+
+#[test]
+fn masks_go_to_colmap_and_into_the_dataset() {
+    let flight = Flight::new();
+    fs::create_dir(flight.at("photos/masks")).unwrap();
+    // Of half the size, its left side hides.
+    let half = (0..24).flat_map(|_| (0..32).flat_map(|x| [if x < 16 { 0 } else { 255 }; 3]));
+    Picture::new([32, 24], half.collect()).write_png(&flight.at("photos/masks/a1.JPG.png")).unwrap();
+    let (done, calls, _) = flight.run(&flight.plan());
+    done.unwrap();
+    assert_eq!(calls[..4], ALL);
+    assert_eq!(calls[4..], ["image_undistorter"]);
+    let seen = Picture::read(&flight.at("seen-masks/a1.JPG.png")).unwrap();
+    assert_eq!((seen.size_px, seen.rgb[0], seen.rgb[3 * 63]), ([64, 48], 0, 255));
+    let dataset = Dataset::open(&flight.at("data")).unwrap();
+    let hidden = |i: usize| {
+        let View { path, mask, .. } = &dataset.views[i];
+        let picture = mask::read(path, mask.as_ref(), [64, 48], Shrinking::AfterDecoding).unwrap();
+        picture.counted().filter(|counts| !counts).count()
+    };
+    assert_eq!([hidden(0), hidden(1)], [0, 32 * 48]);
+    fs::write(flight.at("photos/masks/a1.JPG.png"), "no picture").unwrap();
+    let (_, _, events) = flight.run(&flight.plan());
+    let is_told = |event: &AgentEvent| matches!(event, AgentEvent::LeftOut { name, reason } if name == "a1.JPG" && reason.starts_with("its mask"));
+    assert!(events.iter().any(is_told), "{events:?}");
 }

@@ -2,7 +2,7 @@
 //! photographs. The receiving service never has any, so it cannot score models.
 
 use cosurf_engine::{Rendering, ViewError, Views};
-use cosurf_scene::{Camera, Cast, Picture, View, metrics};
+use cosurf_scene::{Camera, Cast, Picture, Shrinking, View, mask, metrics};
 use tracing::debug_span;
 
 use super::quality::{Quality, Yardsticks};
@@ -49,11 +49,12 @@ impl<'a> Judge<'a> {
     pub(crate) fn quality(&mut self, view: &View) -> Result<Quality, ViewError> {
         let _span = debug_span!("view", name = view.name).entered();
         let Comparison { camera, photograph, rendering, truth } = self.compare(view)?;
-        let (size_px, wanted) = (photograph.size_px, photograph.to_unit());
+        let [psnr, ssim] = metrics::scores(&rendering.rgb, &photograph);
+        let (size_px, wanted) = (photograph.size_px, shown_beside(&photograph, &rendering.rgb));
         let lpips = self.yardsticks.lpips.as_ref();
         Ok(Quality {
-            psnr: metrics::psnr(&rendering.rgb, &wanted),
-            ssim: metrics::ssim(&rendering.rgb, &wanted, size_px),
+            psnr,
+            ssim,
             lpips: lpips.and_then(|lpips| lpips.score(&rendering.rgb, &wanted, size_px)),
             surface: truth.and_then(|truth| SurfaceQuality::of(&rendering, &camera, &truth)),
         })
@@ -64,11 +65,23 @@ impl<'a> Judge<'a> {
         let camera = view.camera.fitted(self.max_size_px);
         // The model first: how much of it fits depends on what the process holds already.
         let mut rendering = self.model.render(&camera)?;
-        let photograph = Picture::read_fitted(&view.path, camera.size_px)?;
+        let mask = view.mask.as_ref();
+        let photograph = mask::read(&view.path, mask, camera.size_px, Shrinking::AfterDecoding)?;
         rendering.rgb.iter_mut().for_each(|value| *value = value.clamp(0.0, 1.0));
         let truth = self.yardsticks.truth.as_ref().map(|caster| caster.cast_areas(&camera));
         Ok(Comparison { camera, photograph, rendering, truth })
     }
+}
+
+/// The colours of a photograph, 0 to 1, and those of the rendering where the photograph is masked.
+fn shown_beside(photograph: &Picture, rendering: &[f32]) -> Vec<f32> {
+    let mut wanted = photograph.to_unit();
+    let pixels = wanted.as_chunks_mut::<3>().0.iter_mut().zip(rendering.as_chunks::<3>().0);
+    pixels
+        .zip(photograph.counted())
+        .filter(|(_, counts)| !counts)
+        .for_each(|((pixel, shown), _)| *pixel = *shown);
+    wanted
 }
 
 #[cfg(test)]
@@ -107,7 +120,7 @@ mod tests {
         let mut level = Splats::with_capacity(1, 0);
         level.push([0.0; 3], [1.0, 0.0, 0.0, 0.0], [6.0, 6.0, -6.0], 8.0, &[0.0; 3]);
         let yardsticks = Yardsticks { lpips: None, truth: Some(Caster::new(&furrowed())) };
-        let view = View { name: "grey".into(), camera: from_above(), path };
+        let view = View { name: "grey".into(), camera: from_above(), path, mask: None };
         let file = folder.path().join("level.ply");
         ply::write(&file, &level, &LocalFrame::WORLD).expect("a file");
         let model = Views::open(file, &LocalFrame::WORLD, Place::On(DeviceChoice::Cpu), 1).expect("a model");

@@ -1,6 +1,7 @@
 //! Shows a held-out view in pictures: the photograph, the renderings of the model, and their errors.
 
 use cosurf_engine::ViewError;
+use cosurf_scene::picture::MASKED;
 use cosurf_scene::{Cast, Caster, Picture, View, colormap};
 use image::ImageError;
 
@@ -112,10 +113,14 @@ fn spread(qualities: &[Quality]) -> Vec<usize> {
     (0..count).map(|i| ranked[i * last / (count - 1).max(1)]).collect()
 }
 
-/// Draws the error of colour: in each pixel, the mean over the channels of the absolute difference.
+/// Draws the error of colour: in each pixel, the mean over the channels of the absolute difference; 0 where the photograph is
+/// masked.
 fn color_error(photograph: &Picture, rgb: &[f32]) -> Picture {
     let pixels = photograph.rgb.as_chunks::<3>().0.iter().zip(rgb.as_chunks::<3>().0);
     let percent = |(wanted, got): (&[u8; 3], &[f32; 3])| {
+        if *wanted == MASKED {
+            return 0.0;
+        }
         let differences = wanted.iter().zip(got).map(|(&w, &g)| (f32::from(w) / 255.0 - g).abs());
         100.0 / 3.0 * differences.sum::<f32>()
     };
@@ -168,9 +173,12 @@ mod tests {
     #[test]
     fn the_largest_color_error_is_the_brightest() {
         let photograph = Picture::new([3, 1], vec![0, 0, 0, 0, 0, 0, 255, 255, 255]);
-        let picture = color_error(&photograph, &[0.0, 0.0, 0.0, 0.05, 0.0, 0.1, 0.0, 0.0, 0.0]);
+        let colors = [0.0, 0.0, 0.0, 0.05, 0.0, 0.1, 0.0, 0.0, 0.0];
+        let picture = color_error(&photograph, &colors);
         let luma = |i: usize| picture.rgb[3 * i..3 * i + 3].iter().map(|&byte| u32::from(byte)).sum::<u32>();
         assert!(luma(0) < luma(1) && luma(1) < luma(2), "{:?}", picture.rgb);
+        let masked = color_error(&Picture::new([3, 1], MASKED.repeat(3)), &colors);
+        assert_eq!(masked.rgb[..3], masked.rgb[6..], "where it is masked, there is no error");
     }
 
     #[test]

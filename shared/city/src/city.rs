@@ -55,7 +55,7 @@ impl City {
         let digits = self.cameras.len().saturating_sub(1).to_string().len().max(4);
         let view = |(i, camera): (usize, &Camera)| {
             let name = format!("{i:0digits$}.jpg");
-            View { path: Path::new(PICTURES).join(&name), name, camera: *camera }
+            View { path: Path::new(PICTURES).join(&name), name, camera: *camera, mask: None }
         };
         Dataset {
             views: self.cameras.iter().enumerate().map(view).collect(),

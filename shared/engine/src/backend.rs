@@ -5,15 +5,32 @@
 //! the CPU the passes of a step, [`Backend::project`] to [`Backend::adam`], allocate nothing; a test counts the
 //! allocations. On a GPU no buffer grows, but wgpu allocates memory for commands and for results that are read back.
 
+use cosurf_scene::picture::MASKED;
 use cosurf_scene::{Camera, Splats};
 
 /// The colours that a rendering is compared with, `[height, width, rgb]`.
 #[derive(Clone, Copy, Debug)]
 pub enum TargetRgb<'a> {
-    /// A photograph, 0..=255.
+    /// A photograph, 0..=255. Pixels of the colour [`MASKED`] add nothing to any loss, and get no gradient.
     Bytes(&'a [u8]),
     /// Another model's rendering, 0 and up.
     Floats(&'a [f32]),
+}
+
+impl TargetRgb<'_> {
+    /// Whether any pixel is masked.
+    pub(crate) fn is_masked(&self) -> bool {
+        matches!(self, Self::Bytes(rgb) if rgb.chunks_exact(3).any(|pixel| pixel == MASKED))
+    }
+
+    /// The columns of the masked pixels of picture row `y`.
+    pub(crate) fn masked_in(&self, y: usize, width: usize) -> impl Iterator<Item = usize> {
+        let row = match self {
+            Self::Bytes(rgb) => &rgb[3 * y * width..3 * (y + 1) * width],
+            Self::Floats(_) => &[],
+        };
+        row.chunks_exact(3).enumerate().filter(|(_, pixel)| *pixel == MASKED).map(|(x, _)| x)
+    }
 }
 
 /// Exposure of a photograph. A colour of the scene appears in the photograph as `gain · colour + offset`.

@@ -25,7 +25,7 @@ mod tests;
 use std::sync::{Arc, Condvar, Mutex, MutexGuard, PoisonError};
 use std::thread::{self, JoinHandle};
 
-use crate::{Picture, SceneError};
+use crate::{Picture, SceneError, mask};
 pub use source::Source;
 use source::{largest_bytes, total_bytes};
 pub use state::CacheUse;
@@ -78,7 +78,8 @@ impl PictureCache {
     pub fn scratch_bytes(sources: &[Source]) -> Result<u64, SceneError> {
         let mut most = pack::scratch_bytes(largest_bytes(sources));
         for source in sources {
-            most = most.max(Picture::scratch_bytes(&source.path, source.size_px, source.shrinking)?);
+            let Source { path, mask, size_px, shrinking } = source;
+            most = most.max(mask::scratch_bytes(path, mask.as_ref(), *size_px, *shrinking)?);
         }
         Ok(most)
     }
@@ -183,8 +184,8 @@ impl Shared {
     }
 
     fn decode(&self, index: usize) -> Result<Arc<Picture>, SceneError> {
-        let Source { path, size_px, shrinking } = &self.sources[index];
-        let picture = Picture::read_shrunk(path, *size_px, *shrinking)?;
+        let Source { path, mask, size_px, shrinking } = &self.sources[index];
+        let picture = mask::read(path, mask.as_ref(), *size_px, *shrinking)?;
         self.lock().count_decoded();
         Ok(Arc::new(picture))
     }

@@ -36,6 +36,7 @@ pub fn write(path: &Path, cameras: &[Camera]) -> Result<(), SceneError> {
 
 /// Reads world cameras as views, numbered from 1 and without pictures.
 pub(crate) fn read_views(path: &Path) -> Result<Vec<View>, SceneError> {
-    let view = |(i, camera)| View { name: format!("camera-{:04}", i + 1), camera, path: PathBuf::new() };
+    let view =
+        |(i, camera)| View { name: format!("camera-{:04}", i + 1), camera, path: PathBuf::new(), mask: None };
     Ok(read(path)?.into_iter().enumerate().map(view).collect())
 }

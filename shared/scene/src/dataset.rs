@@ -5,7 +5,7 @@ use std::path::PathBuf;
 use glam::DVec3;
 
 use crate::camera::extent;
-use crate::{Camera, LocalFrame};
+use crate::{Camera, LocalFrame, Mask};
 
 /// A photograph with its camera.
 #[derive(Clone, Debug, PartialEq)]
@@ -17,6 +17,8 @@ pub struct View {
     pub camera: Camera,
     /// The picture's file.
     pub path: PathBuf,
+    /// The picture's mask, if it has one.
+    pub mask: Option<Mask>,
 }
 
 /// A point of the sparse reconstruction.

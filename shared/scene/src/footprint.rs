@@ -148,7 +148,7 @@ mod tests {
     }
 
     fn dataset(cameras: Vec<Camera>, points: Vec<(DVec3, Vec<u32>)>) -> Dataset {
-        let view = |(i, camera)| View { name: format!("{i}.jpg"), camera, path: "x".into() };
+        let view = |(i, camera)| View { name: format!("{i}.jpg"), camera, path: "x".into(), mask: None };
         let point = |(position, views)| SparsePoint { position, rgb: [0; 3], views };
         Dataset {
             views: cameras.into_iter().enumerate().map(view).collect(),

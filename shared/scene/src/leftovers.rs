@@ -1,5 +1,5 @@
-//! What a dataset has that is not used, told in a line each: a training that ignores masks in silence looks as if it had used
-//! them.
+//! What a dataset has that is not used, told in a line each: a training that ignores depths in silence looks as if it had
+//! used them.
 //!
 //! What it knows nothing about: how datasets are read.
 
@@ -19,9 +19,6 @@ const FILE_BYTES_MAX: u64 = 1 << 28;
 pub(crate) fn of(path: &Path, first: Option<&View>) -> Vec<String> {
     let mut notes = Vec::new();
     let root = if path.is_file() { path.parent().unwrap_or(Path::new("")) } else { path };
-    if root.join("masks").is_dir() {
-        notes.push(format!("{}: masks are not used; all pixels count", root.join("masks").display()));
-    }
     notes.extend(other_models(root));
     let file = if path.is_file() { path.to_owned() } else { path.join("transforms.json") };
     if path.is_file() || colmap::find_model(root).is_none() {
@@ -54,7 +51,6 @@ struct Fields {
 
 #[derive(Deserialize)]
 struct FrameFields {
-    mask_path: Option<IgnoredAny>,
     depth_file_path: Option<IgnoredAny>,
 }
 
@@ -66,10 +62,6 @@ fn unused_fields(file: &Path) -> Vec<String> {
     let Ok(fields) = serde_json::from_reader::<_, Fields>(BufReader::new(opened)) else { return Vec::new() };
     let lists = [&fields.train_filenames, &fields.val_filenames, &fields.test_filenames];
     let told = [
-        (
-            fields.frames.iter().any(|frame| frame.mask_path.is_some()),
-            "mask_path is not used; all pixels count",
-        ),
         (fields.frames.iter().any(|frame| frame.depth_file_path.is_some()), "depth_file_path is not used"),
         (
             lists.iter().any(|list| list.is_some()),

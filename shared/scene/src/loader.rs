@@ -8,12 +8,15 @@ use std::path::{Component, Path, PathBuf};
 
 use crate::sieve::Sieve;
 use crate::{
-    Camera, Dataset, Picture, SceneError, View, advice, camera_list, colmap, files, leftovers, opensfm,
-    transforms,
+    Camera, Dataset, Picture, SceneError, View, advice, camera_list, colmap, files, leftovers, mask_files,
+    opensfm, transforms,
 };
 
 /// Reason in the error for a dataset without views.
 const NO_VIEWS: &str = "has no pictures with poses";
+
+/// Most that the sparse points take that masks are compared with, bytes.
+const NOTES_POINTS_BYTES: usize = 4 << 20;
 
 impl Dataset {
     /// Opens a COLMAP model, a `transforms.json` or a `reconstruction.json` of OpenSfM. For the latter two, `path` is the file or its
@@ -39,6 +42,7 @@ impl Dataset {
         }
         order(path, &mut dataset)?;
         refuse_missing(&dataset.views)?;
+        mask_files::refuse_missing(&dataset.views)?;
         dataset.views.iter_mut().try_for_each(fit_camera)?;
         Ok((dataset, stride))
     }
@@ -67,8 +71,10 @@ impl Dataset {
     /// What is in a dataset and is not used, or may not be as the user thinks, a line for each. Nothing if the dataset cannot
     /// be read: opening it tells why.
     pub fn notes(path: &Path) -> Vec<String> {
-        let first = read(path, 0).ok().and_then(|(dataset, _)| dataset.views.into_iter().next());
-        leftovers::of(path, first.as_ref())
+        let dataset = read(path, NOTES_POINTS_BYTES).ok().map(|(dataset, _)| dataset);
+        let mut notes = leftovers::of(path, dataset.as_ref().and_then(|dataset| dataset.views.first()));
+        notes.extend(dataset.iter().flat_map(mask_files::notes));
+        notes
     }
 
     /// Takes the pictures from a folder beside theirs that has smaller ones, `images_2`, `images_4` or `images_8`, if it has
@@ -126,7 +132,8 @@ impl Layout {
 /// The views in the file's order, the points, and of how many points in a row one was kept.
 fn read(path: &Path, points_bytes_max: usize) -> Result<(Dataset, usize), SceneError> {
     let mut sieve = Sieve::new(points_bytes_max);
-    let views = read_into(&mut sieve, path)?;
+    let mut views = read_into(&mut sieve, path)?;
+    mask_files::attach(if path.is_file() { path.parent().unwrap_or(path) } else { path }, &mut views);
     let (points, stride) = sieve.end();
     Ok((Dataset { views, points }, stride))
 }

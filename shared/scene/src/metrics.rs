@@ -1,5 +1,7 @@
 //! Picture quality (PSNR, SSIM) as the original 3DGS code measures it on held-out views.
 
+use crate::Picture;
+
 /// Side of SSIM's square window, pixels.
 const WINDOW: usize = 11;
 
@@ -29,12 +31,37 @@ pub fn psnr(a: &[f32], b: &[f32]) -> f64 {
     -10.0 * mse.log10()
 }
 
+/// [`psnr`] and [`ssim`] of a rendering against a photograph, over the pixels of the photograph that count. In the windows
+/// of SSIM around them, the others look the same in both.
+///
+/// Panics if the rendering has another size than the photograph, or if no pixel counts; [`crate::mask::read`] refuses such
+/// photographs.
+pub fn scores(rendering: &[f32], photograph: &Picture) -> [f64; 2] {
+    let mut wanted = photograph.to_unit();
+    let counted: Vec<bool> = photograph.counted().collect();
+    let count = counted.iter().filter(|counts| **counts).count();
+    if count == counted.len() {
+        return [psnr(rendering, &wanted), ssim(rendering, &wanted, photograph.size_px)];
+    }
+    let pixels = wanted.as_chunks_mut::<3>().0.iter_mut().zip(rendering.as_chunks::<3>().0).zip(&counted);
+    pixels.filter(|(_, counts)| !**counts).for_each(|((wanted, shown), _)| *wanted = *shown);
+    assert!(count > 0, "no pixel of the photograph counts");
+    let share = count as f64 / counted.len() as f64;
+    let total = ssim_where(rendering, &wanted, photograph.size_px, |pixel| counted[pixel]);
+    [psnr(rendering, &wanted) + 10.0 * share.log10(), total / (3 * count) as f64]
+}
+
 /// Mean structural similarity of two pictures `[height, width, rgb]` with values 0 to 1; 1 if they are
 /// equal. The window is Gaussian, of 11 × 11 pixels and σ = 1.5 px, with zeros beyond the border; C1 = 0.01²
 /// and C2 = 0.03². The mean is over all pixels and channels.
 ///
 /// Panics if a length is 0 or not `3 · width · height`.
 pub fn ssim(a: &[f32], b: &[f32], size_px: [u32; 2]) -> f64 {
+    ssim_where(a, b, size_px, |_| true) / a.len() as f64
+}
+
+/// Sum of SSIM over all channels of the pixels that count.
+fn ssim_where(a: &[f32], b: &[f32], size_px: [u32; 2], counts: impl Fn(usize) -> bool) -> f64 {
     let [width, height] = size_px.map(|side| side as usize);
     let row = 3 * width;
     assert!(a.len() == row * height && b.len() == a.len(), "both pictures must have {size_px:?} pixels");
@@ -56,10 +83,11 @@ pub fn ssim(a: &[f32], b: &[f32], size_px: [u32; 2]) -> f64 {
         if y >= WINDOW / 2 {
             let oldest_first = (0..WINDOW).map(|k| &ring[(y + 1 + k) % WINDOW][..]);
             weighted_sum(&window, oldest_first, &mut blurred);
-            sum += sum_of_row(&blurred, row);
+            let first = (y - WINDOW / 2) * width;
+            sum += sum_of_row(&blurred, row, |i| counts(first + i / 3));
         }
     }
-    sum / a.len() as f64
+    sum
 }
 
 /// Weights of the Gaussian window along one axis, summing to 1.
@@ -104,15 +132,15 @@ impl RowBlur {
     }
 }
 
-/// Sum of SSIM over the values of one row, computed from the row's blurred maps.
-fn sum_of_row(blurred: &[f64], row: usize) -> f64 {
+/// Sum of SSIM over the values of one row that count, computed from the row's blurred maps.
+fn sum_of_row(blurred: &[f64], row: usize, counts: impl Fn(usize) -> bool) -> f64 {
     let [a, b, aa, bb, ab] = std::array::from_fn(|map| &blurred[map * row..(map + 1) * row]);
     let at = |i: usize| {
         let (mean_ab, mean_aa, mean_bb) = (a[i] * b[i], a[i] * a[i], b[i] * b[i]);
         let (var_a, var_b, cov) = (aa[i] - mean_aa, bb[i] - mean_bb, ab[i] - mean_ab);
         (2.0 * mean_ab + C1) * (2.0 * cov + C2) / ((mean_aa + mean_bb + C1) * (var_a + var_b + C2))
     };
-    (0..row).map(at).sum()
+    (0..row).filter(|i| counts(*i)).map(at).sum()
 }
 
 #[cfg(test)]
@@ -120,6 +148,7 @@ mod tests {
     //! Tests against a direct, non-separable implementation of the definition.
 
     use super::*;
+    use crate::picture::MASKED;
 
     /// A pseudo-random value between 0 and 1 that depends only on `i`.
     fn noise(i: usize) -> f32 {
@@ -169,6 +198,30 @@ mod tests {
             assert!((fast - direct).abs() < 1e-10, "{size_px:?}: {fast} is not {direct}");
             assert!(direct < 0.999, "{size_px:?}: the pair must differ");
         }
+    }
+
+    #[test]
+    fn pixels_that_do_not_count_change_no_score() {
+        let size_px = [24, 16];
+        let (a, b) = pair(size_px);
+        let mut photograph = Picture::from_unit(size_px, &b);
+        let all = scores(&a, &photograph);
+        let wanted = photograph.to_unit();
+        assert_eq!(all, [psnr(&a, &wanted), ssim(&a, &wanted, size_px)]);
+        let hidden = |i: usize| i / 3 % 24 < 12;
+        (0..a.len()).filter(|i| hidden(*i)).for_each(|i| photograph.rgb[i] = MASKED[i % 3]);
+        let [psnr_half, ssim_half] = scores(&a, &photograph);
+        let right: Vec<usize> = (0..a.len()).filter(|i| !hidden(*i)).collect();
+        let [a_right, b_right] = [&a, &wanted].map(|of| right.iter().map(|i| of[*i]).collect::<Vec<f32>>());
+        assert!((psnr_half - psnr(&a_right, &b_right)).abs() < 1e-9);
+        let mut garbage = a.clone();
+        (0..a.len()).filter(|i| hidden(*i) && i / 3 % 24 < 6).for_each(|i| garbage[i] = 0.9);
+        let changed = scores(&garbage, &photograph);
+        assert!((changed[0] - psnr_half).abs() < 1e-9, "{changed:?}");
+        assert!(
+            (changed[1] - ssim_half).abs() < 1e-9,
+            "the windows of the pixels that count do not reach so far"
+        );
     }
 
     #[test]

@@ -83,7 +83,7 @@ pub(crate) fn read(path: &Path, sieve: &mut Sieve) -> Result<Vec<View>, SceneErr
         let camera =
             camera(&its, shot).map_err(|refusal| refusal.at(format_args!("shot {}", name.escape_debug())))?;
         let path: PathBuf = files::in_any_case(folder.join(name));
-        Ok(View { name: name.clone(), camera, path })
+        Ok(View { name: name.clone(), camera, path, mask: None })
     };
     let views = its.shots.iter().map(view).collect::<Result<_, Refusal>>();
     let views = views.map_err(|refusal| refusal.of(path))?;

@@ -15,8 +15,8 @@ use std::path::Path;
 
 use crate::SceneError;
 use header::PictureHeader;
-pub use pixels::Picture;
 pub(crate) use pixels::bytes_of;
+pub use pixels::{MASKED, Picture};
 pub use shrinking::Shrinking;
 
 impl Picture {
@@ -35,6 +35,17 @@ impl Picture {
     /// As [`Self::read_fitted`], with a choice of when the picture is shrunk.
     pub fn read_shrunk(path: &Path, size_px: [u32; 2], shrinking: Shrinking) -> Result<Self, SceneError> {
         files::read_fitted(path, size_px, shrinking)
+    }
+
+    /// The opacity of each pixel as a grey picture, white where nothing shows through, resampled to `size_px`; `None` if the
+    /// file has no transparency.
+    pub fn read_alpha(path: &Path, size_px: [u32; 2]) -> Result<Option<Self>, SceneError> {
+        files::read_alpha(path, size_px)
+    }
+
+    /// Whether the file's header tells of transparency; the pixels are not decoded.
+    pub(crate) fn has_alpha(path: &Path) -> Result<bool, SceneError> {
+        Ok(PictureHeader::read(path)?.has_alpha)
     }
 
     /// Width and height from the file's header; the pixels are not decoded.

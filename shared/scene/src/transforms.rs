@@ -13,7 +13,7 @@ use serde::Deserialize;
 
 use crate::error::Refusal;
 use crate::sieve::Sieve;
-use crate::{Camera, Picture, Pose, SceneError, View, files, ply};
+use crate::{Camera, Picture, Pose, SceneError, View, files, mask_files, ply};
 
 /// Longest accepted file, bytes; 10,000 frames take about 10 MB.
 const FILE_BYTES_MAX: u64 = 1 << 28;
@@ -40,6 +40,8 @@ struct Transforms {
 struct Frame {
     file_path: String,
     transform_matrix: Vec<[f64; 4]>,
+    /// The picture's mask, in which white pixels count.
+    mask_path: Option<PathBuf>,
     #[serde(flatten)]
     own: Intrinsics,
 }
@@ -100,7 +102,8 @@ fn view_of(folder: &Path, shared: &Intrinsics, frame: &Frame) -> Result<View, Re
     };
     let camera =
         camera().map_err(|refusal| refusal.at(format_args!("frame {}", frame.file_path.escape_debug())))?;
-    Ok(View { name: frame.file_path.clone(), camera, path })
+    let mask = frame.mask_path.as_ref().map(|mask| mask_files::named(folder.join(mask)));
+    Ok(View { name: frame.file_path.clone(), camera, path, mask })
 }
 
 /// The path of a frame's picture. If no such file exists, appends the first of [`EXTENSIONS`] that gives

@@ -57,6 +57,7 @@ impl Photometric {
         let weights =
             Weights { window: ssim_window(), l1: (1.0 - ssim_weight) / pixels, ssim: ssim_weight / pixels };
         let band_rows = image.tiles()[0] * image.rows_per_tile() * BAND_TILES;
+        let is_masked = target.is_masked();
         let Self { scratch, sums } = self;
         sums.resize(image.tiles()[1].div_ceil(BAND_TILES), Sums::default());
         gradient.rows_mut().par_chunks_mut(band_rows).zip(sums.par_iter_mut()).enumerate().for_each(
@@ -67,7 +68,7 @@ impl Photometric {
                     (0..3).fold(Sums::default(), |sums, channel| {
                         let gradient = &mut *rows;
                         let scratch = &mut *scratch;
-                        let input = Input { image, target, exposure, weights, channel, band };
+                        let input = Input { image, target, is_masked, exposure, weights, channel, band };
                         sums.plus(isa.run(Band { input, gradient, scratch }))
                     })
                 });
@@ -90,8 +91,8 @@ impl Photometric {
 }
 
 /// Number of lines with margins that a band needs: the rendering, the photograph, the exposed rendering, three products
-/// and three partial derivatives.
-const LINES: usize = 9;
+/// and three partial derivatives, and which pixels count.
+const LINES: usize = 10;
 
 /// Memory of one thread for the lines and ring buffers of a band.
 #[derive(Debug)]
@@ -103,6 +104,8 @@ struct Lines<'a> {
     x_line: &'a mut [f32],
     y_line: &'a mut [f32],
     exposed_line: &'a mut [f32],
+    /// 1 for pixels that count, 0 for masked ones.
+    counted_line: &'a mut [f32],
     products: [&'a mut [f32]; 3],
     partial_lines: [&'a mut [f32]; 3],
     moments: Ring<'a, MOMENT_LINES>,
@@ -130,13 +133,15 @@ impl Scratch {
         let (x_line, rest) = rest.split_at_mut(line_len);
         let (y_line, rest) = rest.split_at_mut(line_len);
         let (exposed_line, rest) = rest.split_at_mut(line_len);
+        let (counted_line, rest) = rest.split_at_mut(line_len);
+        counted_line.fill(1.0);
         let (products, rest) = three(rest, line_len);
         let (partial_lines, rest) = three(rest, line_len);
         let (moments, rest) = rest.split_at_mut(MOMENT_LINES * TAPS * padded);
         let (partials, _) = rest.split_at_mut(PARTIAL_LINES * TAPS * padded);
         let (moments, partials) =
             (Ring { width: padded, data: moments }, Ring { width: padded, data: partials });
-        Lines { x_line, y_line, exposed_line, products, partial_lines, moments, partials }
+        Lines { x_line, y_line, exposed_line, counted_line, products, partial_lines, moments, partials }
     }
 }
 
@@ -191,6 +196,7 @@ struct Band<'a> {
 struct Input<'a> {
     image: &'a TileImage,
     target: TargetRgb<'a>,
+    is_masked: bool,
     exposure: Exposure,
     weights: Weights,
     channel: usize,
@@ -300,6 +306,15 @@ impl Input<'_> {
         y >= 0 && y < self.image.size_px()[1] as isize
     }
 
+    /// Notes which pixels of row `y` count.
+    #[inline(always)]
+    fn count(self, y: usize, line: &mut [f32]) {
+        if self.is_masked {
+            line.fill(1.0);
+            self.target.masked_in(y, self.image.size_px()[0]).for_each(|x| line[MARGIN + x] = 0.0);
+        }
+    }
+
     /// Applies the horizontal filter to the moments of row `y`; they are zero outside the picture.
     #[inline(always)]
     fn filter_moments<L: Lanes>(self, y: isize, lines: &mut Lines) {
@@ -311,6 +326,10 @@ impl Input<'_> {
         let width = self.image.size_px()[0];
         read_line(self.image, self.channel, y as usize, width, x_line);
         self.target.read_line(self.channel, y as usize, width, &mut y_line[MARGIN..MARGIN + width]);
+        // A masked pixel looks as the photograph does in the windows of the pixels around it.
+        if self.is_masked {
+            self.target.masked_in(y as usize, width).for_each(|x| y_line[MARGIN + x] = x_line[MARGIN + x]);
+        }
         multiply::<L>(x_line, y_line, products);
         for x in (0..self.padded()).step_by(L::N) {
             let filtered = [
@@ -330,13 +349,14 @@ impl Input<'_> {
     /// Returns the row's sum of SSIM. All are zero outside the picture.
     #[inline(always)]
     fn filter_partials<L: Lanes>(self, y: isize, lines: &mut Lines) -> f64 {
-        let Lines { partial_lines, moments, partials, .. } = lines;
+        let Lines { partial_lines, counted_line, moments, partials, .. } = lines;
         if !self.has_row(y) {
             (0..PARTIAL_LINES).for_each(|line| partials.at_mut(line, y).fill(0.0));
             return 0.0;
         }
         let window = &self.weights.window;
-        let ssim = ssim_row::<L>(moments, y, self.image.size_px()[0], window, partial_lines);
+        self.count(y as usize, counted_line);
+        let ssim = ssim_row::<L>(moments, y, self.image.size_px()[0], window, counted_line, partial_lines);
         for x in (0..self.padded()).step_by(L::N) {
             for (line, values) in partial_lines.iter().enumerate() {
                 let value = filtered_row::<L>(values, x, window);
@@ -350,11 +370,17 @@ impl Input<'_> {
     #[inline(always)]
     fn write_gradient<L: Lanes>(self, y: usize, lines: &mut Lines, gradient: &mut [Row]) -> Sums {
         let Self { image, channel, weights, exposure, .. } = self;
-        let Lines { x_line, y_line, exposed_line, partials, .. } = lines;
+        let Lines { x_line, y_line, exposed_line, counted_line, partials, .. } = lines;
         let width = image.size_px()[0];
         read_line(image, channel, y, width, x_line);
         self.target.read_line(channel, y, width, &mut y_line[MARGIN..MARGIN + width]);
         expose::<L>(x_line, exposure, width, exposed_line);
+        self.count(y, counted_line);
+        if self.is_masked {
+            for x in self.target.masked_in(y, width) {
+                (x_line[MARGIN + x], y_line[MARGIN + x], exposed_line[MARGIN + x]) = (0.0, 0.0, 0.0);
+            }
+        }
         let l1_slope = L::splat(weights.l1 * exposure.gain);
         let taps = partials.taps(y as isize);
         let first_tile = (y - self.rows()[0]) / TILE * image.tiles()[0];
@@ -367,7 +393,8 @@ impl Input<'_> {
                 let p = each!([0, 1, 2], |line| filtered_column::<L>(&taps[line], column, &weights.window));
                 let d_ssim = (x + x).mul_add(p[1], y.mul_add(p[2], p[0]));
                 let sign = sign(L::load(&exposed_line[MARGIN + column..]) - y);
-                row.set(part, d_ssim.neg_mul_add(L::splat(weights.ssim), sign * l1_slope));
+                let slope = d_ssim.neg_mul_add(L::splat(weights.ssim), sign * l1_slope);
+                row.set(part, slope.keep(L::zero().lt(L::load(&counted_line[MARGIN + column..]))));
             }
             // Pixels beyond the right border have no gradient.
             let valid = (width - (tile_x * TILE).min(width)).min(TILE);
@@ -444,7 +471,7 @@ fn differences<L: Lanes>(x: &[f32], exposed: &[f32], y: &[f32]) -> Sums {
     Sums { l1, ssim: 0.0, squares, signs, signed_x }
 }
 
-/// Computes SSIM for each pixel of one row. Returns the sum, and writes the partial derivatives between the margins of
+/// Computes SSIM for each pixel of one row; it is 1 where `counted` is 0. Returns the sum, and writes the partial derivatives between the margins of
 /// `partials`.
 #[inline(always)]
 fn ssim_row<L: Lanes>(
@@ -452,6 +479,7 @@ fn ssim_row<L: Lanes>(
     y: isize,
     width: usize,
     window: &[f32; TAPS],
+    counted: &[f32],
     partials: &mut [&mut [f32]; 3],
 ) -> f64 {
     let c = L::splat;
@@ -472,9 +500,11 @@ fn ssim_row<L: Lanes>(
         let by_xy = c(2.0) * a1 * inv;
         // The derivative with respect to μx: directly, and through σx² = E[xx] - μx² and σxy = E[xy] - μx μy.
         let by_mu = c(2.0) * (mu_y * (a2 - a1) * inv + mu_x * map * (c(1.0) / b2 - c(1.0) / b1));
+        let counts = L::zero().lt(L::load(&counted[MARGIN + start..]));
+        let map = L::select(counts, map, c(1.0));
         let valid = width.saturating_sub(start).min(L::N);
         let mut put = |line: usize, value: L| {
-            value.store(&mut partials[line][MARGIN + start..]);
+            value.keep(counts).store(&mut partials[line][MARGIN + start..]);
             partials[line][MARGIN + start + valid..MARGIN + start + L::N].fill(0.0);
         };
         put(0, by_mu);

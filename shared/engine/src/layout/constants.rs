@@ -43,6 +43,8 @@ pub(crate) const SSIM_C2: f32 = 0.000_9;
 
 /// Weights of red, green and blue in luma (Rec. 601).
 pub(crate) const LUMA_WEIGHTS: [f32; 3] = [0.299, 0.587, 0.114];
+/// Stands for the luma of a masked pixel. Below all lumas.
+pub(crate) const MASKED_LUMA: f32 = -1.0;
 
 /// Distance, px, between a pixel and the four pixels whose depths give its normal (PGSR). Twice the distance would
 /// halve the noise of the normals, but lose small details.

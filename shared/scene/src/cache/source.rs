@@ -3,13 +3,15 @@
 use std::path::PathBuf;
 
 use crate::picture::bytes_of;
-use crate::{Shrinking, View};
+use crate::{Mask, Shrinking, View};
 
 /// A picture to cache: its file, and the size to shrink it to.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub struct Source {
     /// The picture's file.
     pub path: PathBuf,
+    /// The picture's mask, if it has one.
+    pub mask: Option<Mask>,
     /// Width and height after shrinking.
     pub size_px: [u32; 2],
     /// When the picture is shrunk.
@@ -19,7 +21,12 @@ pub struct Source {
 impl Source {
     /// The picture of `view`, shrunk until its long side is at most `long_side_px`.
     pub fn of(view: &View, long_side_px: u32, shrinking: Shrinking) -> Self {
-        Self { path: view.path.clone(), size_px: view.camera.fitted_size(long_side_px), shrinking }
+        Self {
+            path: view.path.clone(),
+            mask: view.mask.clone(),
+            size_px: view.camera.fitted_size(long_side_px),
+            shrinking,
+        }
     }
 }
 

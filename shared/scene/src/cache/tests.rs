@@ -7,7 +7,7 @@ use std::fs;
 use std::path::Path;
 
 use super::*;
-use crate::Shrinking;
+use crate::{Mask, Shrinking};
 
 const SIZE_PX: [u32; 2] = [24, 16];
 const RAW_BYTES: u64 = 24 * 16 * 3;
@@ -21,7 +21,7 @@ fn made_up(folder: &Path, n: u32) -> Vec<Source> {
         let rgb = (0..32).flat_map(|y| (0..48).flat_map(move |x| at(x, y))).collect();
         let path = folder.join(format!("{i}.png"));
         Picture::new([48, 32], rgb).write_png(&path).unwrap();
-        Source { path, size_px: SIZE_PX, shrinking: Shrinking::AfterDecoding }
+        Source { path, mask: None, size_px: SIZE_PX, shrinking: Shrinking::AfterDecoding }
     };
     (0..n).map(source).collect()
 }
@@ -209,4 +209,23 @@ fn scratch_covers_the_most_demanding_source() {
     sources[1].shrinking = Shrinking::WhileDecoding;
     let scaled = PictureCache::scratch_bytes(&sources).unwrap();
     assert!(scaled < 5 << 20, "{scaled}");
+}
+
+#[test]
+fn masked_pixels_are_masked_in_every_form_and_take_no_memory() {
+    let folder = tempfile::tempdir().unwrap();
+    let mut sources = made_up(folder.path(), 6);
+    let path = folder.path().join("mask.png");
+    let rows = (0..32).flat_map(|y| [if y < 8 { 0 } else { 255 }; 3 * 48]);
+    Picture::new([48, 32], rows.collect()).write_png(&path).unwrap();
+    sources.iter_mut().for_each(|source| source.mask = Some(Mask { path: path.clone(), is_inverted: false }));
+    for budget_bytes in [6 * RAW_BYTES, 4 * RAW_BYTES, PictureCache::least_bytes(&sources)] {
+        let cache = PictureCache::new(sources.clone(), budget_bytes).unwrap();
+        for index in (0..6).chain(0..6) {
+            let picture = cache.get(index).unwrap();
+            let masked = picture.counted().position(|counts| counts);
+            assert_eq!(masked, Some(4 * 24), "picture {index} with {budget_bytes} bytes");
+        }
+        assert!(cache.usage().used_bytes <= budget_bytes);
+    }
 }

@@ -158,7 +158,7 @@ impl<'a> Assembly<'a> {
         if self.view_of.insert(image.id, self.views.len() as u32).is_some() {
             return Err(format!("the image id {} occurs twice", image.id).into());
         }
-        self.views.push(View { name: image.name, camera, path: PathBuf::new() });
+        self.views.push(View { name: image.name, camera, path: PathBuf::new(), mask: None });
         Ok(())
     }
 

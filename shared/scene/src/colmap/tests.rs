@@ -24,6 +24,7 @@ fn made_up(root: &Path) -> Dataset {
             size_px: [8, 6],
         },
         path: root.join("images").join(name),
+        mask: None,
     };
     let point = |x: f64, rgb, views: &[u32]| SparsePoint {
         position: DVec3::new(x, 0.5, 2.0),

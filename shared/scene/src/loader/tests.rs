@@ -7,7 +7,7 @@ use std::fs;
 use glam::{DVec2, DVec3};
 
 use super::*;
-use crate::{Pose, SparsePoint};
+use crate::{Mask, Pose, SparsePoint};
 
 /// A dataset of three pictures of 8 × 6 pixels and five points, written below `root` in COLMAP's
 /// layout. The cameras stand 2 world units apart along x and look along y; the points are 4 world
@@ -25,6 +25,7 @@ fn made_up(root: &Path) -> Dataset {
             },
             path: root.join("images").join(&name),
             name,
+            mask: None,
         }
     };
     let point = |x: f64, views: &[u32]| SparsePoint {
@@ -323,15 +324,48 @@ fn pictures_with_an_extension_in_capitals_are_found() {
 fn what_is_not_used_is_told_in_a_line_each() {
     let root = tempfile::tempdir().unwrap();
     let text = r#"{"w": 8, "h": 6, "fl_x": 8, "train_filenames": ["a.png"], "frames": [{"file_path": "a.png",
-        "mask_path": "m.png", "depth_file_path": "d.png", "transform_matrix": [[1,0,0,0],[0,1,0,0],[0,0,1,0]]}]}"#;
+        "depth_file_path": "d.png", "transform_matrix": [[1,0,0,0],[0,1,0,0],[0,0,1,0]]}]}"#;
     fs::write(root.path().join("transforms.json"), text).unwrap();
-    fs::create_dir(root.path().join("masks")).unwrap();
     let notes = Dataset::notes(root.path());
-    for (note, word) in notes.iter().zip(["masks are not", "mask_path", "depth_file_path", "train_filenames"])
-    {
+    for (note, word) in notes.iter().zip(["depth_file_path", "train_filenames"]) {
         assert!(note.contains(word) && note.lines().count() == 1, "{note}");
     }
-    assert_eq!(notes.len(), 4, "{notes:?}");
+    assert_eq!(notes.len(), 2, "{notes:?}");
+}
+
+#[test]
+fn masks_are_found_beside_the_images_and_in_transforms_json() {
+    let root = tempfile::tempdir().unwrap();
+    made_up(root.path());
+    let masks = root.path().join("masks");
+    fs::create_dir(&masks).unwrap();
+    assert!(Dataset::open(root.path()).unwrap().views.iter().all(|view| view.mask.is_none()));
+    for name in ["0.png", "1.png.png"] {
+        Picture::new([8, 6], vec![0; 144]).write_png(&masks.join(name)).unwrap();
+    }
+    let dataset = Dataset::open(root.path()).unwrap();
+    let found: Vec<_> = dataset.views.iter().map(|view| view.mask.as_ref().map(|mask| &mask.path)).collect();
+    assert_eq!(found, [Some(&masks.join("0.png")), Some(&masks.join("1.png.png")), None]);
+    let notes = Dataset::notes(root.path());
+    assert!(notes[0].contains("2 of 3 pictures have masks"), "{notes:?}");
+    assert!(
+        notes[1].contains("hide 100 % of the sparse points") && notes[1].contains("masks_inverted"),
+        "{notes:?}"
+    );
+    fs::rename(&masks, root.path().join("masks_inverted")).unwrap();
+    let dataset = Dataset::open(root.path()).unwrap();
+    assert!(dataset.views[0].mask.as_ref().is_some_and(|mask| mask.is_inverted));
+    assert_eq!(Dataset::notes(root.path()).len(), 1);
+
+    let text = r#"{"w": 8, "h": 6, "fl_x": 8, "frames": [{"file_path": "images/0.png", "mask_path": "m.png",
+        "transform_matrix": [[1,0,0,0],[0,1,0,0],[0,0,1,0]]}]}"#;
+    fs::write(root.path().join("transforms.json"), text).unwrap();
+    let file = root.path().join("transforms.json");
+    let error = Dataset::open(&file).unwrap_err().to_string();
+    assert!(error.contains("m.png: this mask is missing"), "{error}");
+    fs::write(root.path().join("m.png"), "").unwrap();
+    let mask = Dataset::open(&file).unwrap().views[0].mask.clone();
+    assert_eq!(mask, Some(Mask { path: root.path().join("m.png"), is_inverted: false }));
 }
 
 #[test]

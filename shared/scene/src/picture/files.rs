@@ -6,19 +6,34 @@ use std::path::Path;
 
 use image::codecs::jpeg::JpegEncoder;
 use image::codecs::png::PngEncoder;
-use image::{ExtendedColorType, ImageDecoder, ImageEncoder, ImageError, ImageFormat, ImageReader, Limits};
+use image::{
+    DynamicImage, ExtendedColorType, ImageDecoder, ImageEncoder, ImageError, ImageFormat, ImageReader, Limits,
+};
 
 use super::header::{PictureHeader, Way};
 use super::pixels::Picture;
 use super::resize::area_average_of;
-use super::rgb::rgb_over_black;
+use super::rgb::{alpha_as_grey, rgb_over_black};
 use super::shrinking::Shrinking;
 use super::{png_rows, scaled};
 use crate::{SceneError, atomic};
 
 /// Decodes a file to RGB. Errors: a file that is empty, cut short or damaged.
 pub(super) fn read(path: &Path) -> Result<Picture, SceneError> {
-    read_whole(path, &PictureHeader::read(path)?)
+    read_whole(path, &PictureHeader::read(path)?, rgb_over_black)
+}
+
+/// The opacity as a grey picture of `size_px`; `None` if the file has no transparency.
+pub(super) fn read_alpha(path: &Path, size_px: [u32; 2]) -> Result<Option<Picture>, SceneError> {
+    let header = PictureHeader::read(path)?;
+    if !header.has_alpha {
+        return Ok(None);
+    }
+    if header.way(size_px, Shrinking::AfterDecoding) == Way::Rows {
+        return png_rows::read(path, &header, size_px, alpha_as_grey).map(Some);
+    }
+    let picture = read_whole(path, &header, alpha_as_grey)?;
+    Ok(Some(if picture.size_px == size_px { picture } else { picture.resized(size_px) }))
 }
 
 /// As [`read`], resampled to `size_px` while or after the picture is decoded.
@@ -29,8 +44,8 @@ pub(super) fn read_fitted(
 ) -> Result<Picture, SceneError> {
     let header = PictureHeader::read(path)?;
     let picture = match header.way(size_px, shrinking) {
-        Way::Whole => read_whole(path, &header)?,
-        Way::Rows => return png_rows::read(path, &header, size_px),
+        Way::Whole => read_whole(path, &header, rgb_over_black)?,
+        Way::Rows => return png_rows::read(path, &header, size_px, rgb_over_black),
         Way::Scaled(divisor) => {
             check_end(path, &header)?;
             let scaled = scaled::read(path, header.size_px, divisor)?;
@@ -46,7 +61,11 @@ fn check_end(path: &Path, header: &PictureHeader) -> Result<(), SceneError> {
     if has_end(file, header.data_offset).unwrap_or(false) { Ok(()) } else { Err(cut_short(path)) }
 }
 
-fn read_whole(path: &Path, header: &PictureHeader) -> Result<Picture, SceneError> {
+fn read_whole(
+    path: &Path,
+    header: &PictureHeader,
+    rgb_of: fn(DynamicImage) -> Vec<u8>,
+) -> Result<Picture, SceneError> {
     let open = || File::open(path).map(BufReader::new).map_err(|cause| SceneError::io(path, cause));
     if header.format == ImageFormat::Jpeg {
         check_end(path, header)?;
@@ -60,7 +79,7 @@ fn read_whole(path: &Path, header: &PictureHeader) -> Result<Picture, SceneError
         let reason = format!("cannot be decoded ({error}); fetch the picture again or leave it out");
         SceneError::malformed(path, reason)
     })?;
-    Ok(Picture::new([image.width(), image.height()], rgb_over_black(image)))
+    Ok(Picture::new([image.width(), image.height()], rgb_of(image)))
 }
 
 fn cut_short(path: &Path) -> SceneError {

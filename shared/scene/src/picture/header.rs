@@ -33,6 +33,8 @@ pub(super) struct PictureHeader {
     pub(super) data_offset: u64,
     /// Whether the pixels come in the order of rows or blocks, so that the picture can be shrunk while it is decoded.
     is_in_order: bool,
+    /// Whether pixels may be transparent.
+    pub(super) has_alpha: bool,
 }
 
 /// How a picture is read.
@@ -58,6 +60,7 @@ struct Facts {
     bytes_per_pixel: u64,
     data_offset: u64,
     is_in_order: bool,
+    has_alpha: bool,
 }
 
 impl PictureHeader {
@@ -95,6 +98,7 @@ impl PictureHeader {
             decode_bytes: file_bytes + pixels * facts.bytes_per_pixel + rows_bytes(width),
             data_offset: facts.data_offset,
             is_in_order: facts.is_in_order,
+            has_alpha: facts.has_alpha,
         })
     }
 
@@ -163,7 +167,9 @@ fn read_other(input: &mut (impl BufRead + Seek), format: ImageFormat) -> io::Res
     let color = decoder.color_type();
     let converted = if matches!(color, ColorType::Rgb8) { 0 } else { 4 + 3 };
     let bytes_per_pixel = u64::from(color.bytes_per_pixel()) + converted + DECODER_BYTES_PER_PIXEL;
-    Ok(Facts { format, size_px: [width, height], bytes_per_pixel, data_offset: 0, is_in_order: false })
+    let size_px = [width, height];
+    let has_alpha = color.has_alpha();
+    Ok(Facts { format, size_px, bytes_per_pixel, data_offset: 0, is_in_order: false, has_alpha })
 }
 
 fn invalid(reason: &str) -> io::Error {
@@ -198,6 +204,7 @@ fn read_png(input: &mut (impl Read + Seek)) -> io::Result<Facts> {
         bytes_per_pixel,
         data_offset: 0,
         is_in_order: interlace == 0,
+        has_alpha,
     })
 }
 
@@ -237,6 +244,7 @@ fn read_jpeg(input: &mut (impl BufRead + Seek)) -> io::Result<Facts> {
                     bytes_per_pixel: frame.bytes_per_pixel(components),
                     data_offset: next as u64,
                     is_in_order: !frame.is_in_scans(components) && matches!(frame.components, 1 | 3),
+                    has_alpha: false,
                 });
             }
             _ => {}

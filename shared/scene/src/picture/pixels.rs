@@ -1,5 +1,9 @@
 //! The pixels of a picture.
 
+/// The colour of pixels that do not count: those that a mask or transparency hides. A picture has no other mark of them,
+/// so that masks take no memory; [`crate::mask::read`] moves real pixels of this colour by one level.
+pub const MASKED: [u8; 3] = [255, 0, 255];
+
 /// An 8-bit sRGB picture without alpha.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub struct Picture {
@@ -20,6 +24,11 @@ impl Picture {
     /// the nearest of 256 levels; NaN becomes 0.
     pub fn from_unit(size_px: [u32; 2], rgb: &[f32]) -> Self {
         Self::new(size_px, rgb.iter().map(|v| (v.clamp(0.0, 1.0) * 255.0 + 0.5) as u8).collect())
+    }
+
+    /// Whether each pixel counts, in the order of rows.
+    pub fn counted(&self) -> impl Iterator<Item = bool> + Clone {
+        self.rgb.chunks_exact(3).map(|pixel| pixel != MASKED)
     }
 
     /// The colours as numbers between 0 and 1, `[height, width, rgb]`.

@@ -11,11 +11,15 @@ use png::{BitDepth, ColorType, Decoder, DecodingError, Limits, Transformations};
 use super::header::PictureHeader;
 use super::pixels::Picture;
 use super::resize::AreaAverage;
-use super::rgb::rgb_over_black;
 use crate::SceneError;
 
-/// Reads the picture, shrunk to `size_px`. It must not be interlaced.
-pub(super) fn read(path: &Path, header: &PictureHeader, size_px: [u32; 2]) -> Result<Picture, SceneError> {
+/// Reads the picture, shrunk to `size_px`; `rgb_of` makes RGB of decoded rows. It must not be interlaced.
+pub(super) fn read(
+    path: &Path,
+    header: &PictureHeader,
+    size_px: [u32; 2],
+    rgb_of: fn(DynamicImage) -> Vec<u8>,
+) -> Result<Picture, SceneError> {
     let file = File::open(path).map_err(|cause| SceneError::io(path, cause))?;
     let limits = Limits { bytes: usize::try_from(header.rows_bytes()).unwrap_or(usize::MAX) };
     let mut decoder = Decoder::new_with_limits(BufReader::new(file), limits);
@@ -34,7 +38,7 @@ pub(super) fn read(path: &Path, header: &PictureHeader, size_px: [u32; 2]) -> Re
     while let Some(row) = reader.next_row().map_err(failed)? {
         let whole = || SceneError::malformed(path, "has rows of several lengths; fetch the picture again");
         let row = image_of(row.data(), header.size_px[0], kind).ok_or_else(whole)?;
-        average.add_row(&rgb_over_black(row));
+        average.add_row(&rgb_of(row));
     }
     Ok(average.finish())
 }

@@ -2,6 +2,14 @@
 
 use image::DynamicImage;
 
+/// The opacity as RGB, white where nothing shows through.
+pub(super) fn alpha_as_grey(image: DynamicImage) -> Vec<u8> {
+    match image {
+        DynamicImage::ImageLumaA8(grey) => grey.pixels().flat_map(|pixel| [pixel.0[1]; 3]).collect(),
+        other => other.into_rgba8().pixels().flat_map(|pixel| [pixel.0[3]; 3]).collect(),
+    }
+}
+
 /// Converts to RGB of 8 bits per channel, with alpha composited over black.
 /// [`super::header::PictureHeader::decode_bytes`] includes the memory for this.
 pub(super) fn rgb_over_black(image: DynamicImage) -> Vec<u8> {

@@ -25,7 +25,7 @@ use super::plane::Plane;
 use super::shown::{Shown, band_row, bands};
 use crate::backend::{MultiviewWeights, SurfaceLoss};
 use crate::layout::constants::{
-    DISAGREEMENT_MAX, NEAR, PATCH, PATCH_REACH, PATCH_SIDE, RETURN_MAX_PX, VARIANCES_MIN,
+    DISAGREEMENT_MAX, MASKED_LUMA, NEAR, PATCH, PATCH_REACH, PATCH_SIDE, RETURN_MAX_PX, VARIANCES_MIN,
 };
 use crate::layout::planes::{DISTANCE, NORMAL};
 use crate::layout::sampling::sampled_pixel;
@@ -193,7 +193,7 @@ fn band_loss(scene: &Shown, pair: &Pair, weights: &Weights, band: usize, gradien
     sums
 }
 
-/// The sampled pixel of a cell, if it lies in the picture and shows a surface.
+/// The sampled pixel of a cell, if it lies in the picture, is not masked and shows a surface.
 fn sample(scene: &Shown, weights: &Weights, left: usize, top: usize) -> Option<Sampled> {
     let [x, y] = sampled_pixel(weights.cell, weights.draw, left, top);
     let [width, height] = scene.image.size_px();
@@ -201,7 +201,7 @@ fn sample(scene: &Shown, weights: &Weights, left: usize, top: usize) -> Option<S
         return None;
     }
     let depth = scene.depth.value(x, y);
-    if depth <= 0.0 {
+    if depth <= 0.0 || scene.luma.value(x, y) <= MASKED_LUMA {
         return None;
     }
     let get = |plane: usize| scene.image.value(plane, x, y);
@@ -221,14 +221,14 @@ fn ray(view: &ViewParams, x: f32, y: f32) -> [f32; 3] {
 }
 
 /// The reprojection error of a pixel, px, and its derivative with respect to the pixel's depth. `None` if the
-/// neighbouring view has no depth at the projected position, a point is behind a camera, or the error is
+/// neighbouring view has no depth or is masked at the projected position, a point is behind a camera, or the error is
 /// [`RETURN_MAX_PX`] or more.
 fn reprojection_error(here: &ViewParams, pair: &Pair, sampled: &Sampled) -> Option<(f32, f32)> {
     let by = pair.rotate(sampled.ray);
     let there: [f32; 3] = std::array::from_fn(|k| sampled.depth.mul_add(by[k], pair.pose.translation[k]));
     let q = project(there, by, pair.focal_px, pair.center_px)?;
     let depth = pair.depth.sample(q.at_px)?;
-    if depth.least <= 0.0 {
+    if depth.least <= 0.0 || pair.luma.sample(q.at_px)?.least <= MASKED_LUMA {
         return None;
     }
     let by_depth = depth.slope[0] * q.by_px[0] + depth.slope[1] * q.by_px[1];
@@ -262,7 +262,7 @@ fn through_ratio(sampled: &Sampled, v_ratio: [f32; 3], into: &mut PlaneGradient)
 }
 
 /// `1 - NCC²` of the patch around a pixel and its warp in the neighbouring view, and the derivative with respect to
-/// `m = N / D`. `None` if a patch leaves its picture, the plane is behind a camera, or the patches do not match.
+/// `m = N / D`. `None` if a patch leaves its picture or is masked in part, the plane is behind a camera, or the patches do not match.
 fn patches(scene: &Shown, pair: &Pair, sampled: &Sampled) -> Option<(f32, [f32; 3])> {
     let [width, height] = scene.image.size_px();
     let (x, y) = (sampled.x, sampled.y);
@@ -293,6 +293,9 @@ fn patches(scene: &Shown, pair: &Pair, sampled: &Sampled) -> Option<(f32, [f32; 
         let q = warp(point, pair);
         let sample = pair.luma.sample(q.at_px)?;
         here[i] = scene.luma.value(px, py);
+        if here[i].min(sample.least) <= MASKED_LUMA {
+            return None;
+        }
         there[i] = sample.value;
         slopes[i] = sample.slope[0] * q.by_px[0] + sample.slope[1] * q.by_px[1];
     }

@@ -6,7 +6,7 @@
 //! `n = h × v / |h × v|`, which faces the camera.
 //!
 //! The loss is the mean over pixels of `w |α n - N|₁`, with the blended normal `N` and the alpha `α` of the pixel,
-//! which is held constant. The weight is `w = (1 - ĝ)²`, where `ĝ` is the slope of the photograph (the larger central
+//! which is held constant. It is 0 if the pixel or one of the four is masked. The weight is `w = (1 - ĝ)²`, where `ĝ` is the slope of the photograph (the larger central
 //! difference of luma), scaled to 0..=1 over the picture. Gradients are computed with respect to `N`, and through `n`
 //! with respect to the depths of the four pixels.
 
@@ -16,7 +16,7 @@ use super::super::scratch::{PerThread, zeros};
 use super::depth::{Rays, ray_y};
 use super::plane::Plane;
 use super::shown::{Shown, band_row, bands};
-use crate::layout::constants::NORMAL_REACH as REACH;
+use crate::layout::constants::{MASKED_LUMA, NORMAL_REACH as REACH};
 use crate::layout::planes::{DISTANCE, NORMAL, TRANSMITTANCE};
 use crate::layout::tiles::{TILE, TileImage};
 use crate::simd::{Isa, Kernel, Lanes, Row, cross3, dot3, each};
@@ -110,15 +110,28 @@ impl Kernel for SlopeLine<'_> {
     }
 }
 
-/// The larger absolute value of the two central differences of luma.
+/// The larger absolute value of the two central differences of luma. Not a number if one of these pixels is masked.
 #[inline(always)]
 fn slope<L: Lanes>(luma: &Plane, y: usize, column: usize) -> L {
-    let x = column as isize;
+    let [right, left, above, below] = around::<L>(luma, y, column, 1);
+    let slope = (right - left).abs().max((above - below).abs());
+    let own = L::load(&luma.line(y as isize)[Plane::at(column as isize)..]);
+    let least = right.min(left).min(above.min(below)).min(own);
+    L::select(L::splat(MASKED_LUMA).lt(least), slope, L::splat(f32::NAN))
+}
+
+/// The luma of the pixels to the right, to the left, above and below, `reach` px away.
+#[inline(always)]
+fn around<L: Lanes>(luma: &Plane, y: usize, column: usize, reach: usize) -> [L; 4] {
+    let (x, k) = (column as isize, reach as isize);
     let line = luma.line(y as isize);
-    let across = L::load(&line[Plane::at(x + 1)..]) - L::load(&line[Plane::at(x - 1)..]);
-    let (above, below) = (luma.line(y as isize - 1), luma.line(y as isize + 1));
-    let down = L::load(&above[Plane::at(x)..]) - L::load(&below[Plane::at(x)..]);
-    across.abs().max(down.abs())
+    let (above, below) = (luma.line(y as isize - k), luma.line(y as isize + k));
+    [
+        L::load(&line[Plane::at(x + k)..]),
+        L::load(&line[Plane::at(x - k)..]),
+        L::load(&above[Plane::at(x)..]),
+        L::load(&below[Plane::at(x)..]),
+    ]
 }
 
 struct NormalBand<'a> {
@@ -200,7 +213,7 @@ struct Pixels<L: Lanes> {
     blended: [L; 3],
     alpha: L,
     edge_weight: L,
-    /// True if the four depths give a normal.
+    /// True if the four depths give a normal, and neither they nor the pixel are masked.
     valid: L::Mask,
 }
 
@@ -240,7 +253,10 @@ impl<L: Lanes> Pixels<L> {
         let length2 = dot3(c, c);
         let zero = L::zero();
         let near = L::and(L::and(zero.lt(z[0]), zero.lt(z[1])), L::and(zero.lt(z[2]), zero.lt(z[3])));
-        let valid = L::and(near, L::splat(1e-30).lt(length2));
+        let own = L::load(&scene.luma.line(y as isize)[Plane::at(column as isize)..]);
+        let lumas = around::<L>(scene.luma, y, column, REACH).into_iter().fold(own, L::min);
+        let shown = L::and(near, L::splat(MASKED_LUMA).lt(lumas));
+        let valid = L::and(shown, L::splat(1e-30).lt(length2));
         let inv_length = (one / L::select(valid, length2, one).sqrt()).keep(valid);
         let get = |plane: usize| scene.image.row(plane, y, tile_x).get::<L>(part);
         let steepness =

@@ -4,7 +4,7 @@
 use rayon::prelude::*;
 
 use crate::backend::TargetRgb;
-use crate::layout::constants::LUMA_WEIGHTS;
+use crate::layout::constants::{LUMA_WEIGHTS, MASKED_LUMA};
 use crate::layout::tiles::{PLANE_MARGIN as MARGIN, plane_len, plane_stride};
 
 /// A picture with one number per pixel and margins of zeros.
@@ -96,12 +96,13 @@ pub(super) struct Sample {
     pub(super) least: f32,
 }
 
-/// Writes the luma of a picture.
+/// Writes the luma of a picture; [`MASKED_LUMA`] where it is masked.
 pub(super) fn luma(rgb: TargetRgb, size_px: [u32; 2], plane: &mut Plane) {
     let size = size_px.map(|side| side as usize);
     plane.reshape(size);
     plane.lines_mut().enumerate().for_each(|(y, line)| {
         rgb.luma_line(y, size[0], &mut line[MARGIN..MARGIN + size[0]]);
+        rgb.masked_in(y, size[0]).for_each(|x| line[MARGIN + x] = MASKED_LUMA);
     });
 }
 

@@ -1,5 +1,7 @@
 //! Compares the colour loss with a direct f64 implementation, and its gradient with central differences.
 
+use cosurf_scene::picture::MASKED;
+
 use super::super::loss::Photometric;
 use crate::backend::{Exposure, TargetRgb};
 use crate::layout::tiles::TileImage;
@@ -106,5 +108,45 @@ fn check(exposure: Exposure) {
         let [width, height] = SIZE_PX;
         assert_eq!(gradient.value(0, width, 5), 0.0, "padding has no gradient");
         assert_eq!(gradient.value(0, 5, height), 0.0, "padding has no gradient");
+    }
+}
+
+#[test]
+fn masked_pixels_add_nothing_and_get_no_gradient() {
+    let [width, height] = SIZE_PX;
+    let is_masked = |x: usize, y: usize| (9..20).contains(&x) && (12..30).contains(&y);
+    let places = || (0..height).flat_map(|y| (0..width).map(move |x| (x, y)));
+    let photograph: Vec<u8> = places()
+        .flat_map(
+            |(x, y)| if is_masked(x, y) { MASKED } else { [(6 * x) as u8, (5 * y) as u8, (x * y) as u8] },
+        )
+        .collect();
+    // The rendering is the photograph, but for what the mask hides.
+    let mut image = TileImage::with_capacity(0, 4);
+    image.reshape(SIZE_PX.map(|side| side as u32), 4);
+    for (i, value) in photograph.iter().enumerate() {
+        let (x, y) = (i / 3 % width, i / 3 / width);
+        let shown = if is_masked(x, y) { (i % 7) as f32 / 7.0 } else { f32::from(*value) * (1.0 / 255.0) };
+        image.set_value(i % 3, x, y, shown);
+    }
+    for isa in Isa::available() {
+        let loss = |image: &TileImage| {
+            let mut gradient = image.clone();
+            let mut photometric = Photometric::with_capacity(SIZE_PX.map(|side| side as u32), 1);
+            let target = TargetRgb::Bytes(&photograph);
+            (photometric.loss(isa, image, target, Exposure::default(), WEIGHT, &mut gradient), gradient)
+        };
+        let (same, gradient) = loss(&image);
+        assert!(same.total.abs() < 1e-6 && same.mse < 1e-12, "{same:?}");
+        let largest = places().flat_map(|(x, y)| (0..3).map(move |c| (c, x, y)));
+        let largest = largest.map(|(c, x, y)| gradient.value(c, x, y).abs()).fold(0.0, f32::max);
+        assert!(largest < 0.05 / (3 * width * height) as f32, "{largest}");
+        let mut other = image.clone();
+        places().for_each(|(x, y)| (0..3).for_each(|c| other.set_value(c, x, y, 0.4)));
+        let (_, gradient) = loss(&other);
+        for (x, y) in places() {
+            let is_zero = (0..3).all(|c| gradient.value(c, x, y) == 0.0);
+            assert_eq!(is_zero, is_masked(x, y), "at {x}, {y}");
+        }
     }
 }

@@ -3,6 +3,7 @@
 //! weights `exp(-e)` for reprojection errors `e`, and which pixels count. In the differences, these values are those of
 //! the unchanged picture.
 
+use cosurf_scene::picture::MASKED;
 use cosurf_scene::{Camera, Pose};
 use glam::{DMat3, DVec2, DVec3};
 
@@ -118,15 +119,16 @@ fn tiles(blend: &Blend) -> TileImage {
 
 /// The losses and gradients of the engine.
 fn engine(isa: Isa, here: &Blend, there: &Blend, photographs: [&[f32]; 2]) -> (SurfaceLoss, TileImage) {
+    engine_on(isa, here, there, photographs.map(TargetRgb::Floats))
+}
+
+fn engine_on(isa: Isa, here: &Blend, there: &Blend, photographs: [TargetRgb; 2]) -> (SurfaceLoss, TileImage) {
     let mut surface = Surface::with_capacity(here.camera.size_px, 2);
     surface.keep_neighbour(isa, &tiles(there), &ViewParams::new(&there.camera, 0));
     let image = tiles(here);
     let mut gradient = image.clone();
     gradient.rows_mut().fill(Row([f32::NAN; 16]));
-    let targets = Targets {
-        neighbour_rgb: Some(TargetRgb::Floats(photographs[1])),
-        ..Targets::colors(TargetRgb::Floats(photographs[0]))
-    };
+    let targets = Targets { neighbour_rgb: Some(photographs[1]), ..Targets::colors(photographs[0]) };
     let view = ViewParams::new(&here.camera, 0);
     let loss = surface.losses(isa, &image, &view, &targets, &WEIGHTS, &mut gradient);
     (loss, gradient)
@@ -451,5 +453,36 @@ fn a_teachers_losses_and_gradients_agree_with_the_definition() {
         assert!((normal - wanted_normal).abs() < 2e-4 * wanted_normal, "{}: {normal}", isa.name());
         let (error, what) = worst(&gradient, &numeric, width(&here.camera));
         assert!(error < 1e-3, "{}: relative error {error:.2e} at {what}", isa.name());
+    }
+}
+
+#[test]
+fn masked_pixels_of_view_and_neighbour_give_no_surface_loss() {
+    let [here, there] = cameras();
+    let (here, there) = (blend(here, 0.02, 1), blend(there, 0.02, 2));
+    let bytes = |blend: &Blend, hidden: std::ops::Range<usize>| -> Vec<u8> {
+        let mut rgb: Vec<u8> = photograph(&blend.camera).iter().map(|v| (255.0 * v) as u8).collect();
+        let row = width(&blend.camera);
+        let pixels = rgb.as_chunks_mut::<3>().0.iter_mut().enumerate();
+        pixels.filter(|(i, _)| hidden.contains(&(i % row))).for_each(|(_, pixel)| *pixel = MASKED);
+        rgb
+    };
+    let [plain, half, all] = [0..0, 0..18, 0..37].map(|hidden| bytes(&here, hidden));
+    let [plain_there, all_there] = [0..0, 0..37].map(|hidden| bytes(&there, hidden));
+    for isa in Isa::available() {
+        let run = |a: &[u8], b: &[u8]| engine_on(isa, &here, &there, [a, b].map(TargetRgb::Bytes));
+        let (seen, _) = run(&plain, &plain_there);
+        let (part, gradient) = run(&half, &plain_there);
+        assert!(part.normal > 0.1 * seen.normal && part.normal < 0.9 * seen.normal, "{part:?}, {seen:?}");
+        assert!(part.returned > 0.0 && part.returned < 0.8 * seen.returned, "{part:?}, {seen:?}");
+        for (plane, y, x) in
+            (NORMAL..=DISTANCE).flat_map(|p| (0..34).flat_map(move |y| (0..18).map(move |x| (p, y, x))))
+        {
+            assert_eq!(gradient.value(plane, x, y), 0.0, "plane {plane} at {x}, {y}");
+        }
+        let (neighbourless, _) = run(&plain, &all_there);
+        assert_eq!((neighbourless.returned, neighbourless.matched), (0.0, 0.0));
+        assert!((neighbourless.normal - seen.normal).abs() < 1e-9);
+        assert_eq!(run(&all, &plain_there).0, SurfaceLoss::default());
     }
 }

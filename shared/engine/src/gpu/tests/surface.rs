@@ -1,6 +1,7 @@
 //! Compares the surface losses of both backends, and the gradients with respect to the splats. A sample may differ
 //! where rounding decides whether its reprojection error is below the limit or its patches match.
 
+use cosurf_scene::picture::MASKED;
 use cosurf_scene::{Camera, Splats};
 use glam::DVec3;
 
@@ -56,7 +57,25 @@ impl Shown {
 
     /// Runs the passes of one step up to the gradients, and returns losses and gradients.
     fn step(&self, backend: &mut impl Backend, weights: &LossWeights) -> (Losses, Splats) {
-        let [here, there] = &self.pictures;
+        self.step_on(backend, weights, TargetRgb::Floats(&self.pictures[0].rgb), &bytes_of(&self.pictures[1]))
+    }
+
+    /// As [`Self::step`], with masks on both photographs.
+    fn masked_step(&self, backend: &mut impl Backend, weights: &LossWeights) -> (Losses, Splats) {
+        let [mut here, mut there] = self.pictures.each_ref().map(bytes_of);
+        hide(&mut here, self.cameras[0].size_px, [30, 20]);
+        hide(&mut there, self.cameras[1].size_px, [60, 50]);
+        self.step_on(backend, weights, TargetRgb::Bytes(&here), &there)
+    }
+
+    fn step_on(
+        &self,
+        backend: &mut impl Backend,
+        weights: &LossWeights,
+        rgb: TargetRgb,
+        neighbour: &[u8],
+    ) -> (Losses, Splats) {
+        let here = &self.pictures[0];
         backend.project(&self.cameras[1], 0);
         backend.bin();
         backend.rasterize(Channels::Geometry);
@@ -65,17 +84,28 @@ impl Shown {
         backend.bin();
         assert_eq!(backend.counts().dropped, 0);
         backend.rasterize(Channels::Geometry);
-        let bytes: Vec<u8> = there.rgb.iter().map(|v| (255.0 * v.min(1.0)) as u8).collect();
         let surface = TargetSurface { depth: &here.depth, normal: &here.normal, trust: &self.trust };
         let targets = Targets {
-            neighbour_rgb: Some(TargetRgb::Bytes(&bytes)),
+            neighbour_rgb: Some(TargetRgb::Bytes(neighbour)),
             surface: Some(surface),
-            ..Targets::colors(TargetRgb::Floats(&here.rgb))
+            ..Targets::colors(rgb)
         };
         let losses = backend.losses(&targets, weights);
         backend.rasterize_backward();
         backend.project_backward();
         (losses, backend.gradients())
+    }
+}
+
+fn bytes_of(picture: &Rendering) -> Vec<u8> {
+    picture.rgb.iter().map(|v| (255.0 * v.min(1.0)) as u8).collect()
+}
+
+/// Masks a square of 25 px.
+fn hide(rgb: &mut [u8], size_px: [u32; 2], corner: [usize; 2]) {
+    for y in corner[1]..corner[1] + 25 {
+        let first = 3 * (y * size_px[0] as usize + corner[0]);
+        rgb[first..first + 75].as_chunks_mut().0.fill(MASKED);
     }
 }
 
@@ -152,5 +182,29 @@ fn surface_losses_agree_with_the_cpu() {
             let (_, off) = compare(&wrong, &expected);
             assert!(off as f64 > off_max * count as f64, "{only:?}: a wrong weight went unnoticed ({off})");
         }
+    }
+}
+
+#[test]
+fn masked_pixels_are_left_out_as_on_the_cpu() {
+    let Some(gpu) = gpu() else { return };
+    let truth = ground(3000);
+    let mut model = truth.clone();
+    let mut random = Random::new(3, Purpose::Birth, 0, 0);
+    model.means.iter_mut().flatten().for_each(|v| *v += 0.01 * random.normal());
+    let shown = Shown::new(&truth, [120, 90]);
+    for only in [Some(0), Some(1), Some(2)] {
+        let weights = weights(only);
+        let (got_losses, got) = shown.masked_step(&mut on_gpu(&gpu, &model, [120, 90]), &weights);
+        let (losses, expected) = shown.masked_step(&mut on_cpu(&model, [120, 90]), &weights);
+        let (count, off) = compare(&got, &expected);
+        for (got, expected) in numbers(&got_losses).into_iter().zip(numbers(&losses)) {
+            assert!((got - expected).abs() <= LOSS_OFF_MAX, "{only:?}: {got_losses:?} is not {losses:?}");
+        }
+        // Photographs of whole levels have more ties than renderings.
+        assert!(off as f64 <= 2.0 * NORMALS_OFF_MAX * count as f64, "{only:?}: {off} of {count} are off");
+        let (_, unmasked) = shown.step(&mut on_cpu(&model, [120, 90]), &weights);
+        let (_, off) = compare(&unmasked, &expected);
+        assert!(off as f64 > 0.05 * count as f64, "{only:?}: the masks went unnoticed ({off})");
     }
 }
