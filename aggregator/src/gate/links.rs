@@ -12,7 +12,7 @@ use cosurf_link::Model;
 use cosurf_scene::Camera;
 
 use super::adjust::Link;
-use super::consensus::{consensus, distance_px};
+use super::consensus::consensus;
 use super::features::Feature;
 use super::matching::{Matches, Pair, Sight, matches};
 use super::scouts::{Scout, ScoutFile, best};
@@ -23,6 +23,9 @@ use crate::merge::{Locals, MergeError};
 /// Largest distance between the points of a pair that fits, px of the compared pictures. For right models, most pairs
 /// are within half of it.
 const FIT_PX: f64 = 2.0;
+/// How far a distance along the line of sight counts: pictures tell it worse than a distance across. Of two models of the
+/// city that were ingested apart (500 steps, 320 px), 43 % of the right matches fit if it counts in full.
+const DEPTH_SHARE: f64 = 0.25;
 /// Least share of the matches that must fit.
 const FIT_SHARE_MIN: f64 = 0.5;
 /// Least share of the searched patches that must be found in the other model.
@@ -214,10 +217,18 @@ fn resized(camera: &Camera, size_px: u32) -> Camera {
 /// Whether enough patches were searched and found, and enough matches fit.
 fn fits(seen: &Matches, one_from_other: &Similarity) -> bool {
     let found = seen.found.len() as f64;
-    let near = seen.found.iter().filter(|pair| distance_px(pair, one_from_other) <= FIT_PX).count() as f64;
+    let near = seen.found.iter().filter(|pair| apart_px(pair, one_from_other) <= FIT_PX).count() as f64;
     seen.sought >= SOUGHT_MIN
         && found >= FOUND_SHARE_MIN * seen.sought as f64
         && near >= FIT_SHARE_MIN * found
+}
+
+/// Distance between the two points of a pair after `one_from_other` has moved the second, px. Along the line of sight, only
+/// [`DEPTH_SHARE`] of it counts.
+fn apart_px(pair: &Pair, one_from_other: &Similarity) -> f64 {
+    let apart = one_from_other.apply(pair.other) - pair.trusted;
+    let along = apart.dot(pair.trusted_sight) * pair.trusted_sight;
+    (apart - (1.0 - DEPTH_SHARE) * along).length() / pair.trusted_pixel_m
 }
 
 #[cfg(test)]
