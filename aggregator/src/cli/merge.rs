@@ -20,6 +20,7 @@ use cosurf_aggregator::service::{FitRecord, Fitted};
 use cosurf_aggregator::store::Store;
 use cosurf_contract::counted;
 use cosurf_engine::DeviceChoice;
+use cosurf_geo::Georeference;
 use cosurf_link::Model;
 use cosurf_scene::bytes::parse_bytes;
 use cosurf_scene::{Camera, FolderLock, LocalFrame, SceneError, camera_list, model, ply};
@@ -101,6 +102,8 @@ pub(crate) struct MergeArgs {
 struct Folders<'a> {
     folders: &'a [PathBuf],
     frame: LocalFrame,
+    /// Whether each folder tells where on the earth its model lies.
+    is_placed: Vec<bool>,
 }
 
 impl<'a> Folders<'a> {
@@ -108,7 +111,8 @@ impl<'a> Folders<'a> {
         let frame =
             |folder: &PathBuf| Ok(LocalFrame::of(camera_list::read(&folder.join(camera_list::FILE))?.iter()));
         let frames = folders.iter().map(frame).collect::<Result<Vec<_>, SceneError>>()?;
-        Ok(Self { folders, frame: LocalFrame::most_common(&frames) })
+        let is_placed = folders.iter().map(|folder| folder.join(Georeference::FILE).is_file()).collect();
+        Ok(Self { folders, frame: LocalFrame::most_common(&frames), is_placed })
     }
 }
 
@@ -128,6 +132,10 @@ impl Locals for Folders<'_> {
         let cameras = camera_list::read(&folder.join(camera_list::FILE))?;
         let cameras = cameras.iter().map(|camera| self.frame.local_camera(camera)).collect();
         Ok(Model { splats, cameras })
+    }
+
+    fn is_placed(&self, index: usize) -> bool {
+        self.is_placed[index]
     }
 }
 

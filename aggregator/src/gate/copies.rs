@@ -74,6 +74,10 @@ impl Locals for Kept<'_> {
         self.locals.is_compressed(self.indices[index])
     }
 
+    fn is_placed(&self, index: usize) -> bool {
+        self.locals.is_placed(self.indices[index])
+    }
+
     fn trust(&self, index: usize) -> Trust {
         self.locals.trust(self.indices[index])
     }

@@ -4,7 +4,8 @@
 //! Every two models that share ground are linked ([`super::links`]). Models in unrelated frames are first brought near
 //! each other ([`super::register`]). Then the frames of all linked models are adjusted together ([`super::adjust`]).
 //! The links tell how the models lie to each other, but not where all of them lie in the world. So the adjusted models
-//! are laid on the model that leaves most of the others where they were. A model that then needs a move smaller than
+//! are laid on the model that leaves most of the others where they were, among those whose place on the earth is known if
+//! there are any. A model that then needs a move smaller than
 //! [`STAY_PX`] stays exactly where it was: such small moves are errors of the measurement, and models in one frame keep
 //! their bytes.
 
@@ -109,7 +110,8 @@ pub(super) fn find_frames(
     measure(models, &near, &identity, shifts, is_given_up, &mut edges, &mut links)?;
     let may_register = |models: [usize; 2]| !vouched || near.contains(&models);
     register_groups(models, &may_register, &mut edges, &mut links, workspace.threads, is_given_up)?;
-    let mut frames = lay(&edges, &links, count)?;
+    let is_placed: Vec<bool> = (0..count).map(|i| locals.is_placed(i)).collect();
+    let mut frames = lay(&edges, &links, &is_placed)?;
     // Pairs of models that move are measured again, now with pictures from the same places. Models that were far apart
     // before may share ground now.
     let is_moved = |models: &&[usize; 2]| models.iter().any(|i| frames[*i].is_some());
@@ -120,7 +122,7 @@ pub(super) fn find_frames(
         edges.retain(|edge| !moved.contains(&edge.models));
         links.retain(|models| !moved.contains(&models));
         measure(models, &moved, &guesses, shifts, is_given_up, &mut edges, &mut links)?;
-        frames = lay(&edges, &links, count)?;
+        frames = lay(&edges, &links, &is_placed)?;
     }
     let mut fits = Vec::with_capacity(edges.len());
     for edge in &edges {
@@ -262,8 +264,10 @@ pub(super) fn groups(linked: impl Iterator<Item = [usize; 2]>, count: usize) -> 
     groups
 }
 
-/// How each model must be moved; `None` for models that stay or have no link.
-fn lay(edges: &[Edge], links: &LinkFile, count: usize) -> Result<Vec<Option<Similarity>>, SceneError> {
+/// How each model must be moved; `None` for models that stay or have no link. `is_placed` tells of each model whether its
+/// place on the earth is known.
+fn lay(edges: &[Edge], links: &LinkFile, is_placed: &[bool]) -> Result<Vec<Option<Similarity>>, SceneError> {
+    let count = is_placed.len();
     let mut moves = vec![None; count];
     let mut is_done = vec![false; count];
     for root in 0..count {
@@ -275,7 +279,7 @@ fn lay(edges: &[Edge], links: &LinkFile, count: usize) -> Result<Vec<Option<Simi
         let only_root: Vec<bool> = (0..count).map(|i| i == root).collect();
         let links = links.read(|models| models.iter().all(|i| starts[*i].is_some()))?;
         let adjusted = adjust(&links, &starts, &only_root);
-        lay_group(&links, &adjusted, &mut moves);
+        lay_group(&links, &adjusted, is_placed, &mut moves);
     }
     Ok(moves)
 }
@@ -299,9 +303,14 @@ fn spread(edges: &[Edge], root: usize, count: usize) -> Vec<Option<Similarity>> 
     }
 }
 
-/// Lays a group of adjusted models on the model that leaves most models where they were, and notes the moves of the
-/// others.
-fn lay_group(links: &[Link], adjusted: &[Option<Frame>], moves: &mut [Option<Similarity>]) {
+/// Lays a group of adjusted models on the model that leaves most models where they were, if possible on one whose place is
+/// known, and notes the moves of the others.
+fn lay_group(
+    links: &[Link],
+    adjusted: &[Option<Frame>],
+    is_placed: &[bool],
+    moves: &mut [Option<Similarity>],
+) {
     let group: Vec<(usize, Frame)> =
         adjusted.iter().enumerate().filter_map(|(i, frame)| Some((i, (*frame)?))).collect();
     let stays_on = |anchor: &Frame| -> Vec<usize> {
@@ -315,9 +324,14 @@ fn lay_group(links: &[Link], adjusted: &[Option<Frame>], moves: &mut [Option<Sim
     let pairs_of = |i: usize| -> usize {
         links.iter().filter(|link| link.models.contains(&i)).map(|link| link.pairs.len()).sum()
     };
-    let candidates = group.iter().map(|(i, frame)| (stays_on(frame), pairs_of(*i), frame.by));
-    let best = candidates.reduce(|a, b| if (b.0.len(), b.1) > (a.0.len(), a.1) { b } else { a });
-    let Some((staying, _, anchor)) = best.filter(|(staying, ..)| staying.len() < group.len()) else { return };
+    let rank = |(i, frame): &(usize, Frame)| {
+        let staying = stays_on(frame);
+        ((is_placed[*i], staying.len(), pairs_of(*i)), staying, frame.by)
+    };
+    let best = group.iter().map(rank).reduce(|a, b| if b.0 > a.0 { b } else { a });
+    let Some((_, staying, anchor)) = best.filter(|(_, staying, _)| staying.len() < group.len()) else {
+        return;
+    };
     let back = anchor.inverse();
     let mut starts = vec![None; adjusted.len()];
     let mut is_fixed = vec![false; adjusted.len()];
@@ -339,10 +353,14 @@ mod tests {
     use super::*;
 
     fn laid(edges: &[Edge], links: Vec<Link>, count: usize) -> Vec<Option<Similarity>> {
+        laid_on(edges, links, &vec![true; count])
+    }
+
+    fn laid_on(edges: &[Edge], links: Vec<Link>, is_placed: &[bool]) -> Vec<Option<Similarity>> {
         let folder = tempfile::tempdir().unwrap();
         let mut file = LinkFile::new(folder.path()).unwrap();
         file.extend(links).unwrap();
-        lay(edges, &file, count).unwrap()
+        lay(edges, &file, is_placed).unwrap()
     }
 
     /// Links between every two models whose frames are `world_from`, as they would be measured.
@@ -388,6 +406,21 @@ mod tests {
             let right = frames[0].inverse().after(&frames[i]);
             let apart_m = apart_m(&moves[i].unwrap(), &right);
             assert!(apart_m < 0.2 * PIXEL_M, "model {i} is {apart_m} m off");
+        }
+    }
+
+    #[test]
+    fn models_without_a_place_are_laid_on_the_one_that_has_one() {
+        let mut dice = Dice(6);
+        // The first three lie in one frame, which is not that of the site.
+        let off = dice.similarity();
+        let frames = [off, off, off, Similarity::IDENTITY];
+        let (edges, links) = measured(&mut dice, &frames);
+        let moves = laid_on(&edges, links, &[false, false, false, true]);
+        assert_eq!(moves[3], None);
+        for by in &moves[..3] {
+            let apart_m = apart_m(&by.unwrap(), &off);
+            assert!(apart_m < 0.2 * PIXEL_M, "{apart_m} m off");
         }
     }
 

@@ -36,6 +36,12 @@ pub trait Locals: Sync {
         false
     }
 
+    /// Whether the place of a model on the earth is known. Models whose place is not known are laid on those whose is.
+    fn is_placed(&self, index: usize) -> bool {
+        let _ = index;
+        true
+    }
+
     /// How far the observations of a model are believed.
     fn trust(&self, index: usize) -> Trust {
         let _ = index;
