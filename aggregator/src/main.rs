@@ -4,6 +4,7 @@
 mod cli;
 
 use std::fmt::Display;
+use std::fs;
 use std::io::{self, Write};
 use std::num::NonZeroU32;
 use std::process::ExitCode;
@@ -12,10 +13,12 @@ use std::time::Instant;
 
 use anyhow::{Context, Result};
 use clap::{Args, Parser, Subcommand};
+use cosurf_aggregator::georeference::write_georeference;
 use cosurf_aggregator::service::{Command, Host, SideEvent, serve};
 use cosurf_aggregator::station::PAGE_BYTES;
 use cosurf_cli::{VERSION, shell};
 use cosurf_contract::{Escaped, LogFormat, log};
+use cosurf_geo::Georeference;
 use cosurf_link::SerialConfig;
 use cosurf_link::serial::{DEFAULT_BAUD, GATEWAY_MESSAGE_BYTES};
 use serde::Serialize;
@@ -159,6 +162,10 @@ fn has_closed_pipe(error: &anyhow::Error) -> bool {
 fn run(args: &RunArgs) -> Result<()> {
     let mut config = args.config.read()?;
     config.open |= args.open;
+    if let Some(origin) = config.origin {
+        fs::create_dir_all(&config.out).with_context(|| config.out.display().to_string())?;
+        write_georeference(Some(&Georeference::at(origin)?), &config.out)?;
+    }
     let (commands, receiver) = mpsc::channel();
     let orders = commands.clone();
     ctrlc::set_handler(move || {

@@ -6,6 +6,7 @@ use std::path::{Path, PathBuf};
 
 use cosurf_contract::{amount, parse_toml};
 use cosurf_engine::DeviceChoice;
+use cosurf_geo::Geodetic;
 use cosurf_link::{BrokerAddress, DEVICES_MAX, TlsFiles};
 use cosurf_scene::SceneError;
 use cosurf_scene::bytes::format_bytes;
@@ -56,6 +57,9 @@ pub struct AggregatorConfig {
     /// Name of the world frame of the coordinates; only models of this frame are merged. Absent for `local`: then a
     /// model that shares no ground with the others is kept out, because its frame may be another one.
     pub frame: Option<FrameId>,
+    /// Where on the earth the world's origin is, written `LAT,LON,HEIGHT` in degrees and metres; absent if that is not known.
+    #[serde(default, deserialize_with = "origin")]
+    pub origin: Option<Geodetic>,
     /// File of the secret key that signs the global model, written by the command `key`; absent for no signature.
     pub key: Option<PathBuf>,
     /// File of the public keys whose models are accepted: for each key the line that the command `key` prints. Absent
@@ -281,6 +285,11 @@ fn bind<'de, D: Deserializer<'de>>(deserializer: D) -> Result<Option<SocketAddr>
     text.parse::<SocketAddr>().map(Some).map_err(wrong).map_err(D::Error::custom)
 }
 
+/// Reads the origin of the site.
+fn origin<'de, D: Deserializer<'de>>(deserializer: D) -> Result<Option<Geodetic>, D::Error> {
+    String::deserialize(deserializer)?.parse().map(Some).map_err(D::Error::custom)
+}
+
 impl AggregatorConfig {
     /// A setting of the built-in broker that is given; `None` if there is none.
     pub(in crate::service) fn setting_of_built_in_broker(&self) -> Option<&'static str> {
@@ -324,6 +333,9 @@ mod tests {
         assert_eq!(config.clients_max, 16_384);
         let config = read(&format!("{REQUIRED}merge_memory = \"2GiB\"\nmemory_bytes = 7")).unwrap();
         assert_eq!((config.merge_memory_bytes, config.memory_bytes), (2 << 30, 7));
+        let config = read(&format!("{REQUIRED}origin = \"52.5,-13.4,75\"")).unwrap();
+        let origin = Geodetic { latitude_deg: 52.5, longitude_deg: -13.4, height_m: 75.0 };
+        assert_eq!(config.origin, Some(origin));
         let config = read(&format!("{REQUIRED}bind = \"[::]:1883\"")).unwrap();
         assert_eq!(config.bind.unwrap().port(), 1883);
     }
@@ -348,6 +360,7 @@ mod tests {
             ("margin = nan", "line 3, margin: give a number from 0 to 1"),
             ("plan = 7", "line 3, plan: "),
             ("uploads_max = 0", "line 3, uploads_max: give a number from 1 to 16384"),
+            ("origin = \"52.5,13.4\"", "line 3, origin: "),
             ("bnid = 1", "line 3, bnid: unknown field `bnid`"),
             ("[workers]\nqueue = \"nats://h:1\"", "line 3, workers: missing field `tiles`"),
             ("[upstream]\nsite = \"a b\"", "line 4, upstream.site: ' ' in a name"),
