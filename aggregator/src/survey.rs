@@ -26,6 +26,7 @@ mod colors;
 mod confidence;
 mod contours;
 mod error;
+mod floaters;
 mod grid;
 mod heights;
 mod lattice;
@@ -57,6 +58,7 @@ use accuracy::{Made, accuracy_of};
 use confidence::find_claims;
 use contours::{ContourOrder, write_contours};
 pub use error::SurveyError;
+use floaters::leave_out_floaters;
 use heights::{Covered, Ground, Surface, find_heights};
 use lattice::Lattice;
 use place::Place;
@@ -133,7 +135,7 @@ pub fn survey(order: &SurveyOrder, mut on_event: impl FnMut(SurveyEvent)) -> Res
         scene.mesh(order.memory_bytes, order.threads, |event| on_event(SurveyEvent::Fusion(event)))?;
     let mut show = |what, stage, done, of| on_event(SurveyEvent::Counted { what, stage, done, of });
     let voxel_m = relief.voxel_m;
-    let shape = Shape::of(relief, &scene, place, order, |d, n| show("tile", "heights", d, n))?;
+    let shape = Shape::of(relief, &scene, place, order, &mut show)?;
     let Shape { lattice, mut heights, points, solid } = shape;
     write_ground(&order.out, order, &lattice, &mut heights)?;
 
@@ -182,12 +184,16 @@ impl Shape {
         scene: &Scene,
         place: Place,
         order: &SurveyOrder,
-        on_tile: impl FnMut(usize, usize),
+        mut show: impl FnMut(&'static str, &'static str, usize, usize),
     ) -> Result<Self, SurveyError> {
         let Relief { mesh, voxel_m } = relief;
         let out = &order.out;
         let witnesses = Witnesses::of(&scene.cameras);
-        let ground = Ground::of(&mesh, &scene.frame, &scene.cameras, &witnesses, &place)?;
+        let mut ground = Ground::of(&mesh, &scene.frame, &scene.cameras, &witnesses, &place)?;
+        let view_order = ViewOrder { voxel_m, memory_bytes: order.memory_bytes, threads: order.threads };
+        leave_out_floaters(scene, &mesh, &mut ground.is_seen, &view_order, |d, n| {
+            show("view", "looking through", d, n);
+        })?;
         let gsd_m = order.gsd_m.unwrap_or(ground.gsd_m);
         let lattice = Lattice::around(place, &ground.extent, gsd_m)?;
         let place = lattice.place();
@@ -196,6 +202,7 @@ impl Shape {
         let solid = write_solid(out, &mesh, &tree, &scene.frame, place, voxel_m)?;
         let surface = Surface { mesh: &mesh, tree: &tree, frame: &scene.frame, ceiling_m: ground.ceiling_m };
         let mut heights = Tiles::new(out, lattice.size_px(), lattice::TILE_PX)?;
+        let on_tile = |d, n| show("tile", "heights", d, n);
         if !find_heights(&surface, &witnesses, &lattice, &mut heights, on_tile)? {
             return Err(SurveyError::NothingSeen);
         }

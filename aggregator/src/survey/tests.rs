@@ -8,11 +8,12 @@ use std::process::Command;
 
 use cosurf_geo::{Geodetic, Georeference};
 use cosurf_scene::splats::SH_C0;
-use cosurf_scene::{Camera, LocalFrame, Splats, camera_list, ply};
+use cosurf_scene::{Camera, LocalFrame, Mesh, Splats, camera_list, ply};
 use cosurf_tests::skips::skip;
 use glam::{DVec2, DVec3};
 
 use super::colors::Painter;
+use super::floaters::leave_out_floaters;
 use super::heights::{Ground, Surface, find_heights};
 use super::lattice::Lattice;
 use super::place::Place;
@@ -20,6 +21,7 @@ use super::quadtree::Quadtree;
 use super::scene::Scene;
 use super::splats::splats_from_above;
 use super::tiles::Tiles;
+use super::views::ViewOrder;
 use super::witnesses::Witnesses;
 use super::{SurveyError, SurveyOrder, survey};
 use crate::testing::above;
@@ -271,4 +273,18 @@ fn impossible_surveys_are_refused_with_a_remedy() {
     camera_list::write(&folder.path().join(camera_list::FILE), &cameras()[..1]).unwrap();
     let error = survey(&order(folder.path()), |_| ()).unwrap_err();
     assert!(matches!(error, SurveyError::NothingSeen), "{error}");
+}
+
+#[test]
+fn vertices_that_most_cameras_look_through_are_left_out() {
+    let folder = tempfile::tempdir().unwrap();
+    model(folder.path());
+    let scene = Scene::open(folder.path()).unwrap();
+    let at = [[0.0, -1.0, 0.0], [0.0, -1.0, 3.0], [2.0, 1.0, 0.4], [2.0, 1.0, 1.5], [2.0, 1.0, -2.0]];
+    let local = |at: [f64; 3]| scene.frame.local_from_world(at.into()).as_vec3().to_array();
+    let mesh = Mesh { positions: at.map(local).to_vec(), ..Mesh::default() };
+    let mut is_seen = vec![true; 5];
+    let order = ViewOrder { voxel_m: 0.1, memory_bytes: MEMORY_BYTES, threads: 2 };
+    leave_out_floaters(&scene, &mesh, &mut is_seen, &order, |_, _| ()).unwrap();
+    assert_eq!(is_seen, [true, false, true, false, true], "what the surface hides is not looked through");
 }

@@ -77,7 +77,7 @@ pub(super) fn find_views(
     let unit_m = scene.frame.unit();
     scene.render_each(order.memory_bytes, order.threads, |[done, of], camera, rendering| {
         let frustum = Frustum::new(camera);
-        let picture = Picture { camera, rendering, unit_m, same_m: SAME_VOXELS * order.voxel_m };
+        let picture = Picture::new(camera, rendering, unit_m, order.voxel_m);
         for (tile, ball) in balls.iter().enumerate() {
             let Some((center, radius_m)) = *ball else { continue };
             if frustum.touches(center, radius_m) {
@@ -107,7 +107,7 @@ fn ball(columns: &[Column], heights: &[f32]) -> Option<(DVec3, f64)> {
 }
 
 /// What a camera of the world shows.
-struct Picture<'a> {
+pub(super) struct Picture<'a> {
     camera: &'a Camera,
     rendering: &'a Rendering,
     /// Length of the rendering's unit, metres.
@@ -116,13 +116,22 @@ struct Picture<'a> {
     same_m: f64,
 }
 
-impl Picture<'_> {
+impl<'a> Picture<'a> {
+    /// What `camera` shows: `rendering`, whose lengths are in units of `unit_m` metres. The surface has voxels of `voxel_m`.
+    pub(super) fn new(camera: &'a Camera, rendering: &'a Rendering, unit_m: f64, voxel_m: f64) -> Self {
+        Self { camera, rendering, unit_m, same_m: SAME_VOXELS * voxel_m }
+    }
+
     /// Counts the picture if it shows the surface of a pixel.
     fn add(&self, views: &mut Views, column: &Column, height: f32) {
         if height.is_nan() {
             return;
         }
-        let at = column.at.extend(f64::from(height) - column.lift_m);
+        self.add_point(views, column.at.extend(f64::from(height) - column.lift_m));
+    }
+
+    /// Counts the picture if it shows a point of the world, or looks through it.
+    pub(super) fn add_point(&self, views: &mut Views, at: DVec3) {
         let Some((px, depth_m)) = self.camera.project_with_depth(at) else { return };
         let Some(shown_m) = self.depth_m(px) else { return };
         let eye = self.camera.cam_from_world.center();
