@@ -231,10 +231,15 @@ pub(crate) fn run(args: &MergeArgs) -> Result<()> {
                 100.0 * share
             ),
         };
+        let is_linked = admitted.fits().iter().any(|fit| fit.models.contains(&local));
+        let apart = match settings.refine && admitted.count() > 1 && is_verified && !is_linked {
+            true => ", could not be fitted to the others and may lie apart from them",
+            false => "",
+        };
         let unverified = if is_verified { "" } else { ", shares no ground with the others" };
         writeln!(
             stdout,
-            "{folder}: {arrived}, {percent:.0} % on shared ground, {removed} removed{moved}{toned}{weight}{size}{void}{unproven}{unverified}"
+            "{folder}: {arrived}, {percent:.0} % on shared ground, {removed} removed{moved}{toned}{weight}{size}{void}{unproven}{unverified}{apart}"
         )?;
     }
     kept_out.iter().try_for_each(|kept_out| writeln!(stdout, "kept out: {kept_out}"))?;
