@@ -15,8 +15,8 @@ use super::stages::remove;
 /// Tells what a finished dataset was made of.
 const FINISHED: &str = "ingest.json";
 
-/// Writes `sparse/0`, `images`, `masks` if there are any, and `geo.json` if the place is known, into the folder `out`. `work` is a folder on the same
-/// disk for what is not complete.
+/// Writes `sparse/0`, `images`, `masks` if there are any, and `geo.json` if the place is known, into the folder `out`. `work`
+/// is a folder on the same disk for what is not complete.
 pub(super) fn publish(
     out: &Path,
     work: &Path,
