@@ -1,6 +1,6 @@
 //! `record` and `replay`: write a broker's messages to a file, and publish them again.
 
-use std::fs::File;
+use std::fs::{self, File};
 use std::io::{self, BufReader, BufWriter, Write};
 use std::path::{Path, PathBuf};
 use std::sync::Arc;
@@ -11,7 +11,7 @@ use anyhow::{Context, Error, Result, anyhow, bail};
 use clap::Args;
 use cosurf_contract::{counted, read_password};
 use cosurf_link::mqtt::TlsError;
-use cosurf_link::mqtt::traffic::{self, ReplaySettings, TrafficError};
+use cosurf_link::mqtt::traffic::{self, ConnectionNews, ReplaySettings, TrafficError};
 use cosurf_link::recording::Recording;
 use cosurf_link::{BrokerAddress, Faults, Login, Tls, TlsFiles};
 use cosurf_scene::SceneError;
@@ -57,6 +57,8 @@ impl BrokerArgs {
 }
 
 /// Record a broker's messages to a file, until stopped with Ctrl-C.
+///
+/// If the connection is lost, tries again until the broker is back. Only a broker that never answered is an error.
 ///
 /// The file holds the time, topic, QoS, retain flag and payload of every message. Damage costs the messages that it hit, and
 /// a cut the last one; the others can be replayed.
@@ -106,23 +108,27 @@ pub(crate) struct ReplayArgs {
 }
 
 pub(crate) fn record(args: &RecordArgs) -> Result<()> {
-    let (tls, stop) = (args.broker.tls()?, stop_on_interrupt()?);
+    let (tls, login, stop) = (args.broker.tls()?, args.broker.login()?, stop_on_interrupt()?);
     let file = File::create_new(&args.file).map_err(|cause| match cause.kind() {
         io::ErrorKind::AlreadyExists => {
             anyhow!("{}: exists already; name another file, or delete it", args.file.display())
         }
         _ => SceneError::io(&args.file, cause).into(),
     })?;
-    let out = BufWriter::new(file);
-    let count = traffic::record(
+    let recorded = traffic::record(
         &args.broker.broker,
         tls.as_ref(),
-        args.broker.login()?.as_ref(),
+        login.as_ref(),
         &args.filter,
-        out,
+        BufWriter::new(file),
         &stop,
-    )
-    .map_err(|error| explain(error, &args.file))?;
+        tell,
+    );
+    if matches!(recorded, Err(TrafficError::NoBroker { .. })) {
+        // Nothing is in it, and it would refuse the corrected command. If it stays, that command names the remedy.
+        let _ = fs::remove_file(&args.file);
+    }
+    let count = recorded.map_err(|error| explain(error, &args.file))?;
     print("recorded", count, args.json)
 }
 
@@ -156,6 +162,16 @@ pub(crate) fn replay(args: &ReplayArgs) -> Result<()> {
         )?;
     }
     print("replayed", count, args.json)
+}
+
+/// Tells of the connection on standard error.
+fn tell(news: ConnectionNews) {
+    match news {
+        ConnectionNews::Lost { reason } => {
+            eprintln!("{reason}; the recording goes on once the broker is back");
+        }
+        ConnectionNews::Back => eprintln!("connected again; the messages of the time between are missing"),
+    }
 }
 
 /// Adds the recording's file or the remedy to an error.

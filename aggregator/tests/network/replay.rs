@@ -1,17 +1,17 @@
 //! A recorded mission, replayed to another aggregator, gives the same global model.
 
 use std::fs::{self, File};
-use std::io::{BufReader, BufWriter};
+use std::io::{self, BufReader, BufWriter};
 use std::path::Path;
-use std::sync::Arc;
 use std::sync::atomic::{AtomicBool, Ordering};
+use std::sync::{Arc, mpsc};
 use std::thread;
 use std::time::{Duration, Instant};
 
 use cosurf_aggregator::broker::Broker;
 use cosurf_aggregator::merge::MergeSettings;
 use cosurf_aggregator::service::{ServiceEvent, global_ply};
-use cosurf_link::mqtt::traffic::{ReplaySettings, record, replay};
+use cosurf_link::mqtt::traffic::{ConnectionNews, ReplaySettings, TrafficError, record, replay};
 use cosurf_link::recording::Recording;
 use cosurf_link::{BrokerAddress, Faults, Role};
 use cosurf_tests::live::upload;
@@ -41,7 +41,8 @@ fn recorded_flight(folder: &Path, file: &Path) -> Vec<u8> {
     let stop = Arc::new(AtomicBool::new(false));
     let (listening, stopping) = (address.clone(), Arc::clone(&stop));
     let out = BufWriter::new(File::create(file).unwrap());
-    let recorder = thread::spawn(move || record(&listening, None, None, "gs/v1/#", out, &stopping).unwrap());
+    let recorder =
+        thread::spawn(move || record(&listening, None, None, "gs/v1/#", out, &stopping, drop).unwrap());
     let global = serve(&address, folder, || {
         // The broker retains the aggregator's state message. Once the file has this message, the recorder has
         // subscribed.
@@ -82,4 +83,31 @@ fn a_recorded_mission_gives_the_same_global_model() {
         });
         assert!(again == first, "{name}: another global model");
     }
+}
+
+/// The broker is away for longer than the attempts of a first connection take.
+#[test]
+fn a_recording_outlasts_its_broker_and_only_a_first_connection_gives_up() {
+    let broker = Broker::start(loopback()).unwrap();
+    let at = broker.address();
+    let address = broker_address(at);
+    let stop = Arc::new(AtomicBool::new(false));
+    let (listening, stopping) = (address.clone(), Arc::clone(&stop));
+    let (say, hear) = mpsc::channel();
+    let recorder = thread::spawn(move || {
+        let tell = |news| say.send(news).unwrap();
+        record(&listening, None, None, "gs/v1/#", io::sink(), &stopping, tell)
+    });
+    thread::sleep(Duration::from_secs(1));
+    broker.shutdown();
+    let first = hear.recv_timeout(PATIENCE).unwrap();
+    assert!(matches!(first, ConnectionNews::Lost { .. }), "{first:?}");
+    thread::sleep(Duration::from_secs(6));
+    let given_up = record(&address, None, None, "#", io::sink(), &AtomicBool::new(false), drop);
+    assert!(matches!(given_up, Err(TrafficError::NoBroker { .. })), "{given_up:?}");
+    assert!(!recorder.is_finished(), "the recording has ended");
+    let _broker = Broker::start(at).unwrap();
+    while hear.recv_timeout(PATIENCE).unwrap() != ConnectionNews::Back {}
+    stop.store(true, Ordering::Relaxed);
+    recorder.join().unwrap().unwrap();
 }

@@ -21,7 +21,7 @@ use crate::transport::PublishError;
 const TICK: Duration = Duration::from_millis(200);
 /// Interval at which a replay looks whether there is room for the next message.
 const ROOM_TICK: Duration = Duration::from_millis(2);
-/// Number of consecutive failed attempts to connect after which recording or replaying fails.
+/// Number of consecutive failed attempts to connect after which a replay fails, or a recording that was never connected.
 const ATTEMPTS_MAX: u32 = 6;
 /// How long the end of a replay waits for the last acknowledgements.
 const ACKNOWLEDGEMENT_TIMEOUT: Duration = Duration::from_secs(30);
@@ -36,13 +36,25 @@ pub enum TrafficError {
     /// The recording cannot be written.
     #[error("the recording cannot be written: {0}")]
     Write(#[source] io::Error),
-    /// The broker could not be reached in [`ATTEMPTS_MAX`] consecutive attempts, at the start or after a lost
+    /// The broker could not be reached in [`ATTEMPTS_MAX`] consecutive attempts: at the start or, in a replay, after a lost
     /// connection.
     #[error("{reason}; gave up after {ATTEMPTS_MAX} attempts")]
     NoBroker {
         /// The broker's address and the last error.
         reason: String,
     },
+}
+
+/// What a recording tells of its connection.
+#[derive(Clone, Debug, PartialEq, Eq)]
+pub enum ConnectionNews {
+    /// The connection was lost, or there is another reason why it is not back. The recording tries again without end.
+    Lost {
+        /// The broker's address and the error.
+        reason: String,
+    },
+    /// The connection is back. Messages of the time between are not recorded.
+    Back,
 }
 
 /// Settings of a replay.
@@ -57,7 +69,8 @@ pub struct ReplaySettings {
 }
 
 /// Records all messages whose topics match `filter`, until `is_stopping` is set. Returns the number of
-/// recorded messages. Messages that are too large are skipped.
+/// recorded messages. Messages that are too large are skipped. Once it was connected, it outlasts every loss of the
+/// connection, which it tells.
 pub fn record(
     broker: &BrokerAddress,
     tls: Option<&Tls>,
@@ -65,18 +78,21 @@ pub fn record(
     filter: &str,
     out: impl Write,
     is_stopping: &AtomicBool,
+    mut tell: impl FnMut(ConnectionNews),
 ) -> Result<u64, TrafficError> {
     let mut recorder = Recorder::new(out).map_err(TrafficError::Write)?;
     let filter =
         Filter { path: filter.to_owned(), qos: QoS::AtLeastOnce, preserve_retain: true, ..Filter::default() };
     let client = Client::start(settings(broker, tls, login, "record", vec![filter]));
     let (start, mut count) = (Instant::now(), 0);
-    let mut flushed_at = start;
+    let (mut flushed_at, mut connection) = (start, Connection::Never);
     while !is_stopping.load(Ordering::Relaxed) {
-        if let Some(event) = client.poll(TICK)
-            && let Some(entry) = entry(event, start.elapsed())?
-        {
-            count += u64::from(recorder.add(&entry).map_err(TrafficError::Write)?);
+        if let Some(event) = client.poll(TICK) {
+            connection.follow(&event).into_iter().for_each(&mut tell);
+            let is_new = connection == Connection::Never;
+            if let Some(entry) = entry(event, start.elapsed(), is_new)? {
+                count += u64::from(recorder.add(&entry).map_err(TrafficError::Write)?);
+            }
         }
         if flushed_at.elapsed() >= TICK {
             recorder.flush().map_err(TrafficError::Write)?;
@@ -116,15 +132,51 @@ pub fn replay(
     Ok((session.client.acknowledged() as u64, player.recording.lost()))
 }
 
-/// The entry of the recording for an event; `None` if the event is no message. An error if the broker cannot be reached.
-fn entry(event: ClientEvent, at: Duration) -> Result<Option<Entry>, TrafficError> {
+/// The connection of a recording.
+#[derive(Debug, PartialEq, Eq)]
+enum Connection {
+    /// There was none yet.
+    Never,
+    Up,
+    /// It is lost, for the reason that was told last.
+    Lost(String),
+}
+
+impl Connection {
+    /// Notes an event. Returns what is to be told: of attempts that fail alike, only the first.
+    fn follow(&mut self, event: &ClientEvent) -> Option<ConnectionNews> {
+        match (&*self, event) {
+            (Self::Never, ClientEvent::Connected) => {
+                *self = Self::Up;
+                None
+            }
+            (Self::Lost(_), ClientEvent::Connected) => {
+                *self = Self::Up;
+                Some(ConnectionNews::Back)
+            }
+            (Self::Never, _) => None,
+            (Self::Lost(told), ClientEvent::Disconnected { reason, .. }) if told == reason => None,
+            (_, ClientEvent::Disconnected { reason, .. }) => {
+                *self = Self::Lost(reason.clone());
+                Some(ConnectionNews::Lost { reason: reason.clone() })
+            }
+            _ => None,
+        }
+    }
+}
+
+/// The entry of the recording for an event; `None` if the event is no message. An error if the broker cannot be reached
+/// and the caller `gives_up`.
+fn entry(event: ClientEvent, at: Duration, gives_up: bool) -> Result<Option<Entry>, TrafficError> {
     match event {
         ClientEvent::Connected | ClientEvent::Denied { .. } => Ok(None),
         ClientEvent::Message { topic, payload, qos, retain } => {
             Ok(Some(Entry { at, topic, qos: qos as u8, retain, payload }))
         }
-        ClientEvent::Disconnected { attempt, .. } if attempt < ATTEMPTS_MAX => Ok(None),
-        ClientEvent::Disconnected { reason, .. } => Err(TrafficError::NoBroker { reason }),
+        ClientEvent::Disconnected { attempt, reason } if gives_up && attempt >= ATTEMPTS_MAX => {
+            Err(TrafficError::NoBroker { reason })
+        }
+        ClientEvent::Disconnected { .. } => Ok(None),
     }
 }
 
@@ -163,7 +215,7 @@ impl Replay<'_> {
     fn listen(&mut self, time: Duration) -> Result<(), TrafficError> {
         let Some(event) = self.client.poll(time) else { return Ok(()) };
         self.is_connected |= matches!(event, ClientEvent::Connected);
-        entry(event, Duration::ZERO).map(drop)
+        entry(event, Duration::ZERO, true).map(drop)
     }
 
     fn wait_until(
