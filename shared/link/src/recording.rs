@@ -4,7 +4,7 @@
 //! (`u32`), flags (`u8`: bit 0 is the retain flag, bits 1 and 2 are the QoS), size of the topic (`u16`), size
 //! of the payload (`u32`), topic, payload, CRC-32 of these bytes (`u32`). Bytes that are no whole entry are passed over, as
 //! far as the next place at which one begins: a damaged disk costs the entries that it damaged, and a kill or a power cut
-//! the last one. [`Recording::lost`] tells how many bytes were passed over.
+//! the last one. So do the bytes of a damaged beginning. [`Recording::lost`] tells how many bytes were passed over.
 
 use std::io::{self, Read, Write};
 use std::time::Duration;
@@ -46,7 +46,10 @@ pub enum RecordingError {
     /// The file cannot be read.
     #[error(transparent)]
     Io(#[from] io::Error),
-    /// The file is not a recording, or it has another format version.
+    /// There is nothing in the file.
+    #[error("is empty (0 bytes): nothing was recorded, or the file was cut; fetch it again")]
+    Empty,
+    /// The file neither begins like a recording of this format version, nor holds an entry of one.
     #[error("not a recording of this version: make one with `cosurf-aggregator record`")]
     NotARecording,
 }
@@ -113,20 +116,33 @@ pub struct Recording<R> {
     ahead: Vec<u8>,
     begin: usize,
     lost: Lost,
+    /// The first entry, if it was looked for behind a damaged beginning.
+    first: Option<Entry>,
     /// Whether the bytes just before `begin` were passed over.
     is_passing_over: bool,
 }
 
 impl<R: Read> Recording<R> {
-    /// Opens a recording.
-    pub fn open(mut input: R) -> Result<Self, RecordingError> {
-        let mut magic = [0; MAGIC.len()];
-        input.read_exact(&mut magic).map_err(|_| RecordingError::NotARecording)?;
-        if magic != MAGIC {
-            return Err(RecordingError::NotARecording);
+    /// Opens a recording. If its beginning is damaged, reads up to the first entry.
+    pub fn open(input: R) -> Result<Self, RecordingError> {
+        let mut recording = Self {
+            input,
+            at: Duration::ZERO,
+            ahead: Vec::new(),
+            begin: 0,
+            lost: Lost::default(),
+            first: None,
+            is_passing_over: false,
+        };
+        if recording.fill(MAGIC.len())? == 0 {
+            return Err(RecordingError::Empty);
         }
-        let (ahead, lost) = (Vec::new(), Lost::default());
-        Ok(Self { input, at: Duration::ZERO, ahead, begin: 0, lost, is_passing_over: false })
+        if recording.ahead.starts_with(&MAGIC) {
+            recording.begin = MAGIC.len();
+            return Ok(recording);
+        }
+        recording.first = recording.next_entry()?;
+        if recording.first.is_some() { Ok(recording) } else { Err(RecordingError::NotARecording) }
     }
 
     /// What was passed over so far.
@@ -136,6 +152,9 @@ impl<R: Read> Recording<R> {
 
     /// Returns the next message; `None` at the end of the recording.
     pub fn next_entry(&mut self) -> Result<Option<Entry>, RecordingError> {
+        if let Some(first) = self.first.take() {
+            return Ok(Some(first));
+        }
         while self.fill(1)? >= 1 {
             if let Some((entry, pause, bytes)) = self.entry()? {
                 self.begin += bytes;
@@ -261,10 +280,12 @@ mod tests {
             let mut changed = bytes.clone();
             let place = dice.below(changed.len() as u64) as usize;
             changed[place] ^= 1 << dice.below(8);
-            let Some((found, lost)) = read(&changed) else {
-                assert!(place < MAGIC.len(), "byte {place}");
+            let (found, lost) = read(&changed).unwrap();
+            if place < MAGIC.len() {
+                let head = Lost { places: 1, bytes: MAGIC.len() as u64 };
+                assert_eq!((found, lost), (entries(), head), "byte {place}");
                 continue;
-            };
+            }
             let damaged = begins.iter().filter(|begin| **begin <= place).count() - 1;
             let mut expected = entries();
             // The pause before a damaged entry is not known.
@@ -275,6 +296,16 @@ mod tests {
             assert_eq!(found, expected, "byte {place}");
             assert_eq!(lost, Lost { places: 1, bytes: (begins[damaged + 1] - begins[damaged]) as u64 });
         }
+    }
+
+    #[test]
+    fn what_holds_no_entry_is_no_recording() {
+        let open = |bytes: &[u8]| Recording::open(bytes).map(drop);
+        assert!(matches!(open(b""), Err(RecordingError::Empty)));
+        for other in [&b"cosurf"[..], b"cosurfR\x02", &[0; 5000], &[0xFF; 5000]] {
+            assert!(matches!(open(other), Err(RecordingError::NotARecording)), "{other:?}");
+        }
+        assert_eq!(read(&MAGIC), Some((Vec::new(), Lost::default())), "nothing was recorded yet");
     }
 
     #[test]
