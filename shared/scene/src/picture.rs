@@ -7,6 +7,7 @@ mod png_rows;
 mod resize;
 mod rgb;
 mod scaled;
+mod segments;
 mod shrinking;
 #[cfg(test)]
 mod tests;

@@ -1,10 +1,10 @@
 //! Reads picture files, and writes JPEG and PNG.
 
 use std::fs::File;
-use std::io::{self, BufRead, BufReader, Seek, SeekFrom};
+use std::io::{self, BufRead, BufReader, Cursor, Read, Seek, SeekFrom};
 use std::path::Path;
 
-use image::codecs::jpeg::JpegEncoder;
+use image::codecs::jpeg::{JpegDecoder, JpegEncoder};
 use image::codecs::png::PngEncoder;
 use image::{
     DynamicImage, ExtendedColorType, ImageDecoder, ImageEncoder, ImageError, ImageFormat, ImageReader, Limits,
@@ -14,9 +14,13 @@ use super::header::{PictureHeader, Way};
 use super::pixels::Picture;
 use super::resize::area_average_of;
 use super::rgb::{alpha_as_grey, rgb_over_black};
+use super::segments::Segments;
 use super::shrinking::Shrinking;
 use super::{png_rows, scaled};
 use crate::{SceneError, atomic};
+
+/// Limit on the bytes of a JPEG's head without most of its metadata: many times what tables and EXIF take.
+const HEAD_BYTES_MAX: u64 = 1 << 20;
 
 /// Decodes a file to RGB. Errors: a file that is empty, cut short or damaged.
 pub(super) fn read(path: &Path) -> Result<Picture, SceneError> {
@@ -103,7 +107,14 @@ pub(super) fn size_of_whole(path: &Path) -> Result<[u32; 2], SceneError> {
 pub(super) fn orientation(path: &Path) -> Option<u8> {
     let header = PictureHeader::read(path).ok()?;
     let file = File::open(path).map(BufReader::new).ok()?;
-    let mut decoder = ImageReader::with_format(file, header.format).into_decoder().ok()?;
+    if header.format != ImageFormat::Jpeg {
+        let mut decoder = ImageReader::with_format(file, header.format).into_decoder().ok()?;
+        return Some(decoder.orientation().ok()?.to_exif());
+    }
+    // The decoder reads the whole input into memory.
+    let mut head = Vec::new();
+    Segments::of_head(file).take(HEAD_BYTES_MAX).read_to_end(&mut head).ok()?;
+    let mut decoder = JpegDecoder::new(Cursor::new(head)).ok()?;
     Some(decoder.orientation().ok()?.to_exif())
 }
 

@@ -2,7 +2,6 @@
 //! it. Only a few hundred bytes are read of a JPEG or PNG, so thousands of pictures are checked quickly. A
 //! forged size is refused before anything is allocated.
 
-use std::fs::File;
 use std::io::{self, BufRead, BufReader, Read, Seek};
 use std::path::Path;
 
@@ -10,7 +9,7 @@ use image::{ColorType, ImageDecoder, ImageFormat, ImageReader};
 
 use super::scaled;
 use super::shrinking::Shrinking;
-use crate::SceneError;
+use crate::{SceneError, files};
 
 /// Largest accepted number of pixels, more than any drone's camera has.
 const PIXELS_MAX: u64 = 1 << 28;
@@ -68,7 +67,7 @@ impl PictureHeader {
     pub(super) fn read(path: &Path) -> Result<Self, SceneError> {
         let io = |cause| SceneError::io(path, cause);
         let malformed = |reason: String| SceneError::malformed(path, reason);
-        let file = File::open(path).map_err(io)?;
+        let file = files::open(path)?;
         let file_bytes = file.metadata().map_err(io)?.len();
         if file_bytes == 0 {
             return Err(malformed("is empty (0 bytes); fetch the picture again or leave it out".into()));
@@ -95,7 +94,8 @@ impl PictureHeader {
         Ok(Self {
             format: facts.format,
             size_px: facts.size_px,
-            decode_bytes: file_bytes + pixels * facts.bytes_per_pixel + rows_bytes(width),
+            // Decoders of JPEG keep what is before the pixels twice.
+            decode_bytes: file_bytes + facts.data_offset + pixels * facts.bytes_per_pixel + rows_bytes(width),
             data_offset: facts.data_offset,
             is_in_order: facts.is_in_order,
             has_alpha: facts.has_alpha,

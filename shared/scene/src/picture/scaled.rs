@@ -8,6 +8,7 @@ use std::path::Path;
 use jpeg_decoder::{Decoder, PixelFormat};
 
 use super::pixels::Picture;
+use super::segments::Segments;
 use crate::SceneError;
 
 /// The largest of 8, 4 and 2 by which both sides of a picture can be divided so that it stays at least as wide and high as
@@ -30,7 +31,7 @@ pub(super) fn read(path: &Path, whole_px: [u32; 2], divisor: u32) -> Result<Pict
         let reason = format!("cannot be decoded ({error}); fetch the picture again or leave it out");
         SceneError::malformed(path, reason)
     };
-    let mut decoder = Decoder::new(BufReader::new(file));
+    let mut decoder = Decoder::new(Segments::of_pixels(BufReader::new(file)));
     let expected = scaled_px(whole_px, divisor);
     // The sides of a JPEG are numbers of 16 bits.
     let [width, height] = expected.map(|side| side.min(u32::from(u16::MAX)) as u16);

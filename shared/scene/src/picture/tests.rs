@@ -151,6 +151,25 @@ fn a_jpeg_that_is_shrunk_while_it_is_decoded_hardly_differs() {
     assert!(cut.to_string().contains("cut short"), "{cut}");
 }
 
+/// A forged file has its pixels behind, and in front of, megabytes of profiles. Its orientation is told.
+#[test]
+fn profiles_change_neither_pixels_nor_memory() {
+    let path = FOLDER.with(|folder| folder.path().join("profiles.jpg"));
+    let picture = smooth([160, 120]);
+    // One entry of a TIFF: the tag 0x112, a number of 16 bits, once, 6.
+    let exif = b"II*\0\x08\0\0\0\x01\0\x12\x01\x03\0\x01\0\0\0\x06\0\0\0\0\0\0\0".to_vec();
+    picture.write_photograph(&path, 95, exif).unwrap();
+    let read = || Picture::read_shrunk(&path, [40, 30], Shrinking::WhileDecoding).unwrap();
+    let scratch = || Picture::scratch_bytes(&path, [40, 30], Shrinking::WhileDecoding).unwrap();
+    let (expected, bytes) = (read(), scratch());
+    assert_eq!(Picture::orientation(&path), Some(6));
+    let profile = [&b"\xFF\xE2\x10\x02ICC_PROFILE\0\x01\xFF"[..], &[0; 4082]].concat();
+    let file = fs::read(&path).unwrap();
+    fs::write(&path, [&file[..2], &profile.repeat(999), &file[2..]].concat()).unwrap();
+    assert!(read() == expected && scratch() == bytes);
+    assert_eq!(Picture::orientation(&path), Some(6));
+}
+
 #[test]
 fn unit_colors_are_rounded_and_clamped() {
     let picture = Picture::from_unit([2, 1], &[-1.0, 0.5, 2.0, 1.0 / 255.0, f32::NAN, 0.499 / 255.0]);
@@ -166,6 +185,8 @@ fn files_that_are_not_pictures_are_refused_with_a_reason() {
     assert!(complaint(b"\x89PiNG\r\n\x1a\n and so on").contains("is neither JPEG, PNG"));
     assert!(complaint(b"\xff").contains("ends within its header"));
     assert!(complaint(b"\xff\xd8\xff\xe0\0\0").contains("damaged JPEG"));
+    let folder = FOLDER.with(|folder| Picture::read(folder.path()).unwrap_err().to_string());
+    assert!(folder.ends_with("is a folder, not a file"), "{folder}");
     let text = Picture::read(Path::new("nowhere.jpg")).unwrap_err().to_string();
     assert_eq!(text, "nowhere.jpg: there is no such file or folder");
 }
