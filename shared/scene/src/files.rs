@@ -15,8 +15,10 @@ const KEPT_MAX: u32 = 100;
 /// writer.
 pub fn open(path: &Path) -> Result<File, SceneError> {
     let failed = |cause| SceneError::io(path, cause);
-    if !fs::metadata(path).map_err(failed)?.is_file() {
-        return Err(SceneError::malformed(path, "is not a file"));
+    let kind = fs::metadata(path).map_err(failed)?;
+    if !kind.is_file() {
+        let fault = if kind.is_dir() { "is a folder, not a file" } else { "is not a file" };
+        return Err(SceneError::malformed(path, fault));
     }
     File::open(path).map_err(failed)
 }

@@ -22,7 +22,7 @@ impl FolderLock {
     /// with [`SceneError::InUse`] if somebody else has it. Where the file system cannot lock files, nobody is kept out. Deletes
     /// what killed programs left of unfinished files.
     pub fn take(folder: &Path, program: &str) -> Result<Self, SceneError> {
-        fs::create_dir_all(folder).map_err(|cause| SceneError::io(folder, cause))?;
+        create(folder)?;
         let path = folder.join(NAME);
         let failed = |cause| SceneError::io(&path, cause);
         files::set_aside_unless_file(&path)?; // nobody can have locked what is no file
@@ -43,6 +43,17 @@ impl FolderLock {
         atomic::remove_partial_files(folder)?;
         Ok(Self { _file: file })
     }
+}
+
+/// Creates the folder, unless it is there.
+fn create(folder: &Path) -> Result<(), SceneError> {
+    let another = |fault| SceneError::malformed(folder, format!("{fault}; name another folder"));
+    fs::create_dir_all(folder).map_err(|cause| match cause.kind() {
+        ErrorKind::AlreadyExists => another("is not a folder"),
+        ErrorKind::NotADirectory => another("lies below what is not a folder"),
+        ErrorKind::NotFound => another("cannot be created there"),
+        _ => SceneError::io(folder, cause),
+    })
 }
 
 /// Who holds the lock on a file.
@@ -70,6 +81,22 @@ mod tests {
         fs::write(out.join(".model.ply.77-0.partial"), "part of a file").unwrap();
         FolderLock::take(&out, "cosurf-agent train").unwrap();
         assert_eq!(fs::read_dir(&out).unwrap().count(), 1, "only the lock");
+    }
+
+    #[test]
+    fn what_cannot_be_a_folder_is_told() {
+        let folder = tempfile::tempdir().unwrap();
+        let file = folder.path().join("model.ply");
+        fs::write(&file, "x").unwrap();
+        for (out, fault) in [(file.clone(), "model.ply: is not a folder"), (file.join("out"), "not a folder")]
+        {
+            let error = FolderLock::take(&out, "a").unwrap_err().to_string();
+            assert!(error.contains(fault) && error.contains("name another folder"), "{error}");
+        }
+        if cfg!(target_os = "linux") {
+            let error = FolderLock::take(Path::new("/proc/out"), "a").unwrap_err().to_string();
+            assert_eq!(error, "/proc/out: cannot be created there; name another folder");
+        }
     }
 
     #[test]

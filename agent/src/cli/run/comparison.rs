@@ -10,7 +10,7 @@ use cosurf_agent::session::SH_DEGREE;
 use cosurf_agent::warm_start::read_visible_splats;
 use cosurf_contract::{AgentEvent, ComparedWith};
 use cosurf_engine::Renderer;
-use cosurf_scene::{Camera, LocalFrame, Splats};
+use cosurf_scene::{Camera, LocalFrame, Splats, files};
 
 use crate::cli::progress::Progress;
 
@@ -42,7 +42,9 @@ impl Comparison<'_> {
         };
         let [mut before, mut after] = [before, after].map(|splats| Renderer::new(splats, self.threads));
         if let Some(changes) = compare(&mut before, &mut after, self.cameras) {
-            write_json(&self.out.join(file), &changes)?;
+            let file = self.out.join(file);
+            files::set_aside_unless_file(&file)?;
+            write_json(&file, &changes)?;
             progress.show(&AgentEvent::Compared { with, changes });
         }
         Ok(())
