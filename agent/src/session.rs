@@ -15,7 +15,9 @@ use cosurf_engine::{
 };
 use cosurf_scene::bytes::format_bytes;
 use cosurf_scene::cache::Source;
-use cosurf_scene::{Camera, Dataset, LocalFrame, PictureCache, Shrinking, SparsePoint, Splats, View};
+use cosurf_scene::{
+    Camera, Dataset, LocalFrame, ORIGIN_MAX, PictureCache, Shrinking, SparsePoint, Splats, View,
+};
 use glam::DVec3;
 use tracing::info_span;
 
@@ -147,6 +149,7 @@ impl Session {
         let (train, held_out) = split(&dataset, &plan.split)?;
         let data = dataset.subset(&train);
         let frame = LocalFrame::of(data.cameras_of_views());
+        check_origin(plan, &frame)?;
         let mut data = data.into_frame(&frame);
         let in_frame = |view: &View| View { camera: frame.local_camera(&view.camera), ..view.clone() };
         let held_out: Vec<View> = held_out.into_iter().map(|i| in_frame(&dataset.views[i])).collect();
@@ -323,6 +326,19 @@ impl Session {
         }
         given_up
     }
+}
+
+/// Fails if the cameras are so far from the world's origin that no file of a model can tell where.
+fn check_origin(plan: &TrainPlan, frame: &LocalFrame) -> Result<()> {
+    let farthest = frame.origin().abs().max_element();
+    if farthest > ORIGIN_MAX {
+        bail!(
+            "{}: the cameras have coordinates about {farthest:.1e}, but models hold at most {ORIGIN_MAX:.0e}; subtract an \
+             offset from all poses and points, or use metres",
+            plan.data.display()
+        );
+    }
+    Ok(())
 }
 
 /// Fails if the device was lost. Values that were read from a lost device are not valid, so call this after reading.
