@@ -185,7 +185,8 @@ mod tests {
         let pixels = [5, 0xFF, 0x00, 6, 0xFF, 0xD3, 7];
         let end = [0xFF, END];
         let whole =
-            [start, &icc, &exif.repeat(5), &jfif, &exif, &table, &scan, &pixels, &icc, &end, b"thumbnail"].concat();
+            [start, &icc, &exif.repeat(5), &jfif, &exif, &table, &scan, &pixels, &icc, &end, b"thumbnail"]
+                .concat();
         let kept = [start, &jfif, &table, &scan, &pixels, &end].concat();
         assert_eq!(read(Segments::of_pixels(&whole)).unwrap(), kept);
         let head = [start, &exif.repeat(4), &jfif, &table, &scan].concat();
