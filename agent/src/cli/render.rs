@@ -29,6 +29,8 @@ pub(super) struct RenderArgs {
 }
 
 pub(super) fn run(args: &RenderArgs) -> Result<()> {
+    // First, so that a wrong folder is told before the work.
+    std::fs::create_dir_all(&args.out).with_context(|| args.out.display().to_string())?;
     let dataset = Dataset::posed(&args.cameras)?;
     let frame = LocalFrame::of(dataset.cameras_of_views());
     let dataset = dataset.into_frame(&frame);
@@ -36,7 +38,6 @@ pub(super) fn run(args: &RenderArgs) -> Result<()> {
     let cameras: Vec<_> = dataset.views.iter().map(|view| view.camera.fitted(max_size_px)).collect();
     let beside_bytes = pictures::scratch_bytes(&cameras);
     let mut model = args.viewing.open(&args.model, &frame, &cameras, args.common.threads(), beside_bytes)?;
-    std::fs::create_dir_all(&args.out).with_context(|| args.out.display().to_string())?;
     for (done, view) in dataset.views.iter().enumerate() {
         pictures::write(&mut model, view, max_size_px, frame.unit(), &args.out)?;
         if args.common.json {

@@ -10,7 +10,7 @@ use clap::{Args, ValueEnum};
 use cosurf_contract::counted;
 use cosurf_engine::budget::PROCESS_BYTES;
 use cosurf_scene::bytes::{format_bytes, parse_bytes};
-use cosurf_scene::{Camera, Dataset, LocalFrame, Splats, model, ply, spz, turn};
+use cosurf_scene::{Camera, Dataset, LocalFrame, Splats, atomic, model, ply, spz, turn};
 use glam::{DQuat, DVec3};
 
 /// Convert a model between PLY and SPZ; the extension of the file to write selects its format.
@@ -84,6 +84,8 @@ impl Format {
 
 pub(crate) fn run(args: &ConvertArgs) -> Result<()> {
     let (path, to) = (ply::of_model(&args.model)?, Format::of(&args.out)?);
+    atomic::check(&args.out)?;
+    args.viewer_cameras.as_deref().map(atomic::check).transpose()?;
     if let Some(memory_bytes) = args.memory {
         check_memory(&path, memory_bytes)?;
     }

@@ -6,7 +6,7 @@ use std::path::PathBuf;
 use anyhow::Result;
 use clap::Args;
 use cosurf_aggregator::evaluate::accuracy::{Accuracy, Score, judge};
-use cosurf_scene::{Mesh, colormap};
+use cosurf_scene::{Mesh, atomic, colormap};
 
 use super::arguments::parse_length;
 
@@ -38,6 +38,7 @@ pub(crate) struct EvalMeshArgs {
 }
 
 pub(crate) fn run(args: &EvalMeshArgs) -> Result<()> {
+    args.out.as_deref().map(atomic::check).transpose()?;
     let mut mesh = Mesh::read(&args.mesh)?;
     let mut truth = Mesh::read(&args.truth)?;
     truth.move_origin(mesh.origin);

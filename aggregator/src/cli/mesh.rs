@@ -12,7 +12,7 @@ use cosurf_aggregator::Meter;
 use cosurf_aggregator::mesh::{FuseSettings, Fused, decimate, mesh_file};
 use cosurf_contract::counted;
 use cosurf_scene::bytes::{format_bytes, parse_bytes};
-use cosurf_scene::{Dataset, LocalFrame, model, ply};
+use cosurf_scene::{Dataset, LocalFrame, atomic, model, ply};
 
 use super::arguments::parse_length;
 use super::host::display;
@@ -52,6 +52,7 @@ pub(crate) fn run(args: &MeshArgs) -> Result<()> {
     if !matches!(args.out.extension().and_then(|e| e.to_str()), Some("ply" | "glb" | "obj")) {
         bail!("{}: name a file that ends in .ply, .glb or .obj", args.out.display());
     }
+    atomic::check(&args.out)?;
     let beside = if args.model.is_dir() { Some(&*args.model) } else { args.model.parent() };
     let cameras = args.cameras.as_deref().or(beside).unwrap_or(Path::new(""));
     let mut cameras = Dataset::cameras(cameras)?;

@@ -75,7 +75,25 @@ struct Fitted {
     fusion_bytes: u64,
 }
 
-/// Leaves out cameras that are there twice, and shrinks the pictures until they fit into the memory.
+impl Fitted {
+    /// The cameras with pictures of at most this long side. Reads the file once.
+    fn of(views: &mut Views, cameras: &[Camera], long_side_px: u32) -> Result<Self, MeshError> {
+        let cameras: Vec<Camera> = cameras.iter().map(|camera| camera.fitted(long_side_px)).collect();
+        // A small picture shows a few splats more than a large one, because each splat is at least a pixel wide.
+        let small = cameras.iter().map(|camera| camera.fitted(FIND_LEAST_PX));
+        let of_all_sizes: Vec<Camera> = cameras.iter().copied().chain(small).collect();
+        let pictures_bytes = views.needed_bytes(&of_all_sizes)?;
+        let fusion_bytes = budget::least_bytes(&cameras);
+        Ok(Self { cameras, pictures_bytes, fusion_bytes })
+    }
+
+    fn needed_bytes(&self) -> u64 {
+        self.pictures_bytes + self.fusion_bytes
+    }
+}
+
+/// Leaves out cameras that are there twice, and shrinks the pictures until they fit into the memory. A memory that is too
+/// small even for the smallest pictures is told before all sizes are tried.
 fn fit(
     views: &mut Views,
     cameras: &[Camera],
@@ -85,21 +103,24 @@ fn fit(
     let cameras = without_twins(cameras);
     let longest = cameras.iter().map(|camera| camera.size_px[0].max(camera.size_px[1])).max();
     let mut long_side_px = longest.unwrap_or(0).min(max_size_px);
+    let largest = Fitted::of(views, &cameras, long_side_px)?;
+    if largest.needed_bytes() <= memory_bytes {
+        return Ok(largest);
+    }
+    let smallest = Fitted::of(views, &cameras, FIND_LEAST_PX)?;
+    let needed_bytes = smallest.needed_bytes();
+    if needed_bytes > memory_bytes {
+        return Err(MeshError::TooLittleMemory { splats: views.splats(), needed_bytes, memory_bytes });
+    }
     loop {
-        let cameras: Vec<Camera> = cameras.iter().map(|camera| camera.fitted(long_side_px)).collect();
-        // A small picture shows a few splats more than a large one, because each splat is at least a pixel wide.
-        let small = cameras.iter().map(|camera| camera.fitted(FIND_LEAST_PX));
-        let of_all_sizes: Vec<Camera> = cameras.iter().copied().chain(small).collect();
-        let pictures_bytes = views.needed_bytes(&of_all_sizes)?;
-        let fusion_bytes = budget::least_bytes(&cameras);
-        let needed_bytes = pictures_bytes + fusion_bytes;
-        if needed_bytes <= memory_bytes {
-            return Ok(Fitted { cameras, pictures_bytes, fusion_bytes });
-        }
-        if long_side_px <= FIND_LEAST_PX {
-            return Err(MeshError::TooLittleMemory { splats: views.splats(), needed_bytes, memory_bytes });
-        }
         long_side_px = long_side_px * 7 / 8;
+        if long_side_px <= FIND_LEAST_PX {
+            return Ok(smallest);
+        }
+        let fitted = Fitted::of(views, &cameras, long_side_px)?;
+        if fitted.needed_bytes() <= memory_bytes {
+            return Ok(fitted);
+        }
     }
 }
 

@@ -28,6 +28,15 @@ pub fn write(
     write_and_rename(&RealDisk, &partial.0, path, fill).map_err(|cause| SceneError::io(path, cause))
 }
 
+/// Fails if [`write()`] would fail now: call it before the work whose result is to be written.
+pub fn check(path: &Path) -> Result<(), SceneError> {
+    if path.is_dir() {
+        return Err(SceneError::malformed(path, "is a folder; name a file"));
+    }
+    let partial = Partial(partial_path(path));
+    RealDisk.create(&partial.0).map(drop).map_err(|cause| SceneError::io(path, cause))
+}
+
 /// As [`write()`], with a content that is in memory.
 pub fn write_bytes(path: &Path, content: &[u8]) -> Result<(), SceneError> {
     write(path, |file| file.write_all(content))
@@ -165,7 +174,16 @@ mod tests {
         let folder = tempfile::tempdir().unwrap();
         let path = folder.path().join("nowhere").join("a.bin");
         let text = write(&path, |_| Ok(())).unwrap_err().to_string();
+        assert_eq!(check(&path).unwrap_err().to_string(), text);
         assert!(text.contains("nowhere") && text.contains("no such"), "{text}");
+    }
+
+    #[test]
+    fn a_check_leaves_nothing() {
+        let folder = tempfile::tempdir().unwrap();
+        check(&folder.path().join("a.bin")).unwrap();
+        assert!(names(folder.path()).is_empty());
+        assert!(check(folder.path()).unwrap_err().to_string().ends_with("is a folder; name a file"));
     }
 
     #[test]
