@@ -3,6 +3,7 @@
 use std::thread::available_parallelism;
 
 use anyhow::{Context, Result};
+use cosurf_contract::config::AGGREGATOR_NAME;
 use cosurf_wire::DeviceId;
 use cosurf_wire::id::MAX_ID_BYTES;
 
@@ -36,12 +37,13 @@ fn host_name() -> Option<String> {
 }
 
 /// The name of a computer without its domain, with a hyphen in place of each character that no device id has. `None` for
-/// names that tell nothing, such as `localhost`.
+/// names that tell nothing, such as `localhost`, and for that of the aggregator.
 fn device_of(host: &str) -> Option<DeviceId> {
     let label = host.split('.').next().unwrap_or_default();
     let allowed = |c: char| if c.is_ascii_alphanumeric() || c == '_' { c } else { '-' };
     let name: String = label.chars().map(allowed).take(MAX_ID_BYTES).collect();
-    let tells = label != "localhost" && label != "(none)" && name.contains(|c: char| c != '-');
+    let is_taken = ["localhost", "(none)", AGGREGATOR_NAME].contains(&label);
+    let tells = !is_taken && name.contains(|c: char| c != '-');
     tells.then(|| DeviceId::new(&name).ok()).flatten()
 }
 
@@ -62,6 +64,7 @@ mod tests {
             ("localhost.localdomain", None),
             ("(none)", None),
             ("global", None),
+            ("aggregator.field.example.org", None),
             ("無人機", None),
             ("", None),
         ] {

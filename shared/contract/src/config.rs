@@ -25,6 +25,10 @@ pub const DEFAULT_FLIGHTS_MAX: usize = 256;
 /// Number of training steps, unless the configuration sets another.
 pub const DEFAULT_STEPS: u32 = 3000;
 
+/// The name of an aggregator, unless its configuration sets another. No agent may have it: an aggregator takes no model of
+/// its own name.
+pub const AGGREGATOR_NAME: &str = "aggregator";
+
 /// The configuration of one agent. Relative paths are relative to the agent's working folder.
 ///
 /// Integers in TOML are signed 64-bit numbers, so `seed` and `memory` can be written as TOML numbers only if they
@@ -178,6 +182,9 @@ impl AgentConfig {
     pub fn from_toml(text: &str) -> Result<Self, ConfigError> {
         let config: Self = parse_toml(text)?;
         config.link()?;
+        if config.device.is_some_and(|device| device.as_str() == AGGREGATOR_NAME) {
+            return Err(ConfigError::NameOfAggregator);
+        }
         if config.compress && config.trusted.is_some() && config.fleet.is_none() {
             return Err(ConfigError::NoFleet);
         }

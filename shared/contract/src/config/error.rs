@@ -25,6 +25,11 @@ pub enum ConfigError {
     /// Neither or both of `broker` and `serial` are set.
     #[error("write either broker = \"mqtt://host:port\" or serial = \"/dev/ttyUSB0\"")]
     OneLink,
+    /// `device` is the name of the aggregator.
+    #[error(
+        "device = \"aggregator\" is the name of the aggregator: write another one, for example device = \"drone-1\""
+    )]
+    NameOfAggregator,
     /// `baud` is set for a broker.
     #[error(
         "baud is the speed of a serial port: remove it, or write serial = \"/dev/ttyUSB0\" instead of broker"

@@ -144,6 +144,13 @@ fn an_error_names_line_and_field_and_shows_the_line() {
 }
 
 #[test]
+fn no_agent_has_the_name_of_the_aggregator() {
+    let error = refused(&USUAL.replace("\"d\"", "\"aggregator\""));
+    assert!(error.starts_with("device = \"aggregator\" is the name of the aggregator: write"), "{error}");
+    assert!(AgentConfig::from_toml(&USUAL.replace("\"d\"", "\"aggregator-2\"")).is_ok());
+}
+
+#[test]
 fn the_line_of_a_wrong_value_is_shown_with_marks_below_it() {
     for (text, excerpt) in [
         (format!("{USUAL}threads = 1025  # all\n"), "  7 | threads = 1025  # all\n    |           ^^^^"),
