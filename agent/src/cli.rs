@@ -18,7 +18,7 @@ mod train;
 use anyhow::Result;
 use clap::{Parser, Subcommand};
 use cosurf_cli::{VERSION, shell};
-use cosurf_contract::{LogFormat, log};
+use cosurf_contract::{ENDS_WITH_STDIN, LogFormat, log};
 
 /// Train a Gaussian-splat surface model from drone pictures, within a memory limit, on this computer's CPU or GPU. `ingest`
 /// finds the pictures' poses first.
@@ -69,6 +69,9 @@ pub(crate) fn run(cli: Cli) -> Result<()> {
     }
     if matches!(cli.command, Command::Train(_) | Command::Run(_)) {
         stop::listen()?;
+        if std::env::var_os(ENDS_WITH_STDIN).is_some() {
+            stop::end_with_stdin();
+        }
     }
     match cli.command {
         Command::Ingest(args) => ingest::run(&args),

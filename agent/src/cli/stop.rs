@@ -1,13 +1,19 @@
 //! Ctrl-C and requests to terminate while a training is under way: it ends with a checkpoint after the current step. A
 //! second request ends the program at once, as does one outside of a training.
 
+use std::io;
 use std::process;
 use std::sync::atomic::{AtomicBool, Ordering};
+use std::thread;
+use std::time::Duration;
 
 use anyhow::{Context, Result};
 
 /// Exit code of a program that a signal has ended, as shells report it for Ctrl-C.
 const ENDED_BY_SIGNAL: i32 = 130;
+
+/// Interval at which a program that is to end looks whether its training has ended.
+const TRAINING_POLL: Duration = Duration::from_millis(100);
 
 static IS_TRAINING: AtomicBool = AtomicBool::new(false);
 static IS_ASKED: AtomicBool = AtomicBool::new(false);
@@ -22,6 +28,24 @@ pub(super) fn listen() -> Result<()> {
     .context("cannot install the Ctrl-C handler")
 }
 
+/// Ends the program, as a signal would, once nobody holds the other end of standard input: a mission that starts agents
+/// holds it, and cannot tell them when it is killed.
+pub(super) fn end_with_stdin() {
+    thread::spawn(|| {
+        let _ = io::copy(&mut io::stdin(), &mut io::sink()); // an input that cannot be read is closed
+        IS_ASKED.store(true, Ordering::SeqCst);
+        while IS_TRAINING.load(Ordering::SeqCst) {
+            thread::sleep(TRAINING_POLL);
+        }
+        process::exit(ENDED_BY_SIGNAL);
+    });
+}
+
+/// Whether the program is asked to end.
+pub(super) fn is_asked() -> bool {
+    IS_ASKED.load(Ordering::SeqCst)
+}
+
 /// A training that ends when it is asked to.
 pub(super) struct Stoppable(());
 
@@ -33,7 +57,7 @@ impl Stoppable {
 
     /// Whether the training is asked to end.
     pub(super) fn is_asked(&self) -> bool {
-        IS_ASKED.load(Ordering::SeqCst)
+        is_asked()
     }
 }
 

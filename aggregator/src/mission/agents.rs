@@ -15,7 +15,7 @@ use std::sync::{Arc, Mutex, MutexGuard, PoisonError};
 use std::thread::{self, JoinHandle};
 use std::time::Duration;
 
-use cosurf_contract::AgentEvent;
+use cosurf_contract::{AgentEvent, ENDS_WITH_STDIN};
 
 /// Largest number of restarts of a process that dies.
 pub(crate) const RESTARTS_MAX: u32 = 5;
@@ -172,7 +172,9 @@ impl Supervisor {
         }
         let mut child = Command::new(&self.command.program)
             .args(&self.command.arguments)
-            .stdin(Stdio::null())
+            // Never written to: the agent ends once this process has, even if it was killed.
+            .stdin(Stdio::piped())
+            .env(ENDS_WITH_STDIN, "1")
             .stdout(Stdio::piped())
             .stderr(log)
             .spawn()?;
@@ -315,6 +317,21 @@ mod tests {
             matches!(&event, ProcessEventKind::Failed { reason } if reason.contains("nobody")),
             "{event:?}"
         );
+    }
+
+    /// What a killed mission leaves: its end of the agent's standard input is closed.
+    #[test]
+    fn an_agent_can_tell_that_its_mission_is_gone() {
+        let folder = tempfile::tempdir().unwrap();
+        let script = r#"
+            if [ "$COSURF_ENDS_WITH_STDIN" != 1 ]; then exit 1; fi
+            echo '{"event":"acknowledged","bytes_sent":5}'; cat; echo '{"event":"acknowledged","bytes_sent":6}'"#;
+        let (processes, events) = start(script, &folder);
+        assert_eq!(events.recv().unwrap(), acknowledged(5));
+        assert!(events.recv_timeout(Duration::from_millis(300)).is_err(), "it ends too soon");
+        let input = lock(&processes.children[0]).as_mut().unwrap().stdin.take();
+        drop(input);
+        assert_eq!(events.recv_timeout(Duration::from_secs(10)), Ok(acknowledged(6)));
     }
 
     #[test]

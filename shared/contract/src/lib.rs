@@ -54,6 +54,10 @@ pub mod status;
 pub mod usage;
 mod words;
 
+/// Environment variable that a mission sets for the agents that it starts, to any value: the agent ends, as at Ctrl-C, once
+/// its standard input is closed. So no agent outlives a mission that is killed.
+pub const ENDS_WITH_STDIN: &str = "COSURF_ENDS_WITH_STDIN";
+
 pub use config::{
     AgentConfig, AgentLink, ConfigError, DEFAULT_FLIGHTS_MAX, DEFAULT_STEPS, amount, parse_toml,
 };
