@@ -47,8 +47,13 @@ impl Agent {
     /// Starts the agent of a prepared folder with a command that has its arguments.
     fn spawn_with(folder: &Path, mut command: Command) -> Self {
         let begun = Instant::now();
-        command.current_dir(folder).env_remove("XDG_RUNTIME_DIR");
-        let mut child = command.stdin(Stdio::null()).stderr(Stdio::piped()).spawn().unwrap();
+        command.current_dir(folder).env_remove("XDG_RUNTIME_DIR").stdin(Stdio::null());
+        Self::of(command, begun)
+    }
+
+    /// Starts a command whose folder and input are set.
+    fn of(mut command: Command, begun: Instant) -> Self {
+        let mut child = command.stderr(Stdio::piped()).spawn().unwrap();
         let (say, lines) = channel();
         let stderr = BufReader::new(child.stderr.take().unwrap());
         spawn(move || stderr.lines().map_while(Result::ok).for_each(|line| _ = say.send(line)));
@@ -370,4 +375,47 @@ fn a_watching_agent_waits_for_pictures_and_then_trains() {
     agent.tells_within(TRAINING, Duration::from_secs(40));
     agent.tells_within("/dev/no-radio", Duration::from_secs(20));
     assert!(folder.path().join("out/flight.json").is_file());
+}
+
+/// An empty picture, as a copy that stalls leaves it.
+#[test]
+fn a_watching_agent_outlasts_a_flight_that_fails() {
+    let folder = tempfile::tempdir().unwrap();
+    prepare(folder.path(), "serial = \"/dev/no-radio\"", 3);
+    let data = folder.path().join("data");
+    let picture = fs::read_dir(data.join("images")).unwrap().next().unwrap().unwrap().path();
+    let bytes = fs::read(&picture).unwrap();
+    fs::write(&picture, "").unwrap();
+    let mut command = Command::new(program("cosurf-agent"));
+    command.args(["run", "--watch", "data"]);
+    let agent = Agent::spawn_with(folder.path(), command);
+    agent.tells_within("is empty (0 bytes)", Duration::from_secs(40));
+    fs::write(&picture, bytes).unwrap();
+    agent.tells_within(TRAINING, Duration::from_secs(40));
+}
+
+/// A mission that is killed closes the input of its agents. Without the mission's variable, a closed input says nothing.
+#[test]
+fn an_agent_ends_with_its_mission() {
+    let folder = tempfile::tempdir().unwrap();
+    prepare(folder.path(), "serial = \"/dev/no-radio\"", 300_000);
+    let start = |is_of_mission: bool| {
+        let _ = fs::remove_dir_all(folder.path().join("out"));
+        let mut command = Command::new(program("cosurf-agent"));
+        command.args(["run", "--config", "agent.toml"]).current_dir(folder.path()).stdin(Stdio::piped());
+        if is_of_mission {
+            command.env("COSURF_ENDS_WITH_STDIN", "1");
+        }
+        let mut agent = Agent::of(command, Instant::now());
+        agent.tells_within(TRAINING, Duration::from_secs(20));
+        drop(agent.child.stdin.take());
+        agent
+    };
+    let agent = start(true);
+    agent.tells_within("run the same command again to go on", Duration::from_secs(20));
+    assert!(folder.path().join("out/checkpoint/state.bin").is_file());
+    drop(agent);
+    let mut agent = start(false);
+    std::thread::sleep(Duration::from_secs(2));
+    assert!(agent.child.try_wait().unwrap().is_none(), "an agent by hand has ended");
 }

@@ -184,7 +184,12 @@ fn describe(event: &AgentEvent) -> Option<String> {
             };
             if *resumed { format!("{choice}, as the training was begun") } else { choice }
         }
-        AgentEvent::Watching { folder } => format!("waiting for pictures in {}", folder.display()),
+        AgentEvent::Watching { folder, problem: None } => {
+            format!("waiting for pictures in {}", folder.display())
+        }
+        AgentEvent::Watching { folder, problem: Some(problem) } => {
+            format!("{problem}; this flight is left, until something in {} changes", folder.display())
+        }
         AgentEvent::Ingesting { stage, done, of, seconds_left, resumed } => {
             let stage = match stage {
                 IngestStage::Reading => "photographs read",

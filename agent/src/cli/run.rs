@@ -27,13 +27,13 @@ use cosurf_wire::DeviceId;
 use super::host::{self, cores, default_memory};
 use super::paths::resolve_init;
 use super::progress::Progress;
-use super::train;
+use super::{stop, train};
 use choice::Answer;
 use comparison::Comparison;
 pub(super) use doctor::{DoctorArgs, doctor};
 use reporter::Reporter;
 use route::{Connection, Route};
-use watch::Watched;
+use watch::{FailedFlight, Watched};
 
 /// Train with the settings in a configuration file, publish the model to the aggregator, and receive the global model.
 /// To resume after a stop or a kill, run the same command again.
@@ -83,12 +83,7 @@ pub(super) fn preflight(PreflightArgs { job: args }: &PreflightArgs) -> Result<(
     job.follow_plan(choice::begun_with(&job.config.out), answer, &mut progress)?;
     let report = train::prepare(&job.plan, &job.config.out)?;
     ensure!(reporter.is_well(), "the aggregator cannot be reached as configured; the lines above tell why");
-    let Job { config: AgentConfig { site, .. }, device, .. } = &job;
-    ensure!(
-        is_answered,
-        "no aggregator of the site {site} answers {device}: check `site`, that the aggregator runs at this broker, and that \
-         its list of trusted keys has this device's `key`"
-    );
+    ensure!(is_answered, job.unanswered());
     progress.show(&AgentEvent::Ready { report });
     Ok(())
 }
@@ -99,13 +94,7 @@ pub(super) fn run(RunArgs { job: args, fresh, watch, origin }: &RunArgs) -> Resu
     let board = StatusBoard::new(job.config.steps);
     let mut progress = Progress::new(args.json).with_board(&board);
     let Some(folder) = watch else { return job.fly(*fresh, &board, &mut progress) };
-    let watched = Watched::open(folder, &job.config.out)?;
-    loop {
-        let (arrival, data) = job.await_pictures(&watched, *origin, &board, &mut progress)?;
-        job.plan = TrainPlan { data, ..train_plan(&job.config) };
-        job.fly(false, &board, &mut progress)?;
-        watched.finish(arrival)?;
-    }
+    job.fly_all(&Watched::open(folder, &job.config.out)?, *origin, &board, &mut progress)
 }
 
 /// A configuration that has been checked, with the plan for the training and the content of the key files.
@@ -154,6 +143,12 @@ impl Job {
     /// Trains on the pictures of one flight, sends the model, and compares it with the global one.
     fn fly(&mut self, fresh: bool, board: &StatusBoard, progress: &mut Progress) -> Result<()> {
         let begun_with = if fresh { None } else { choice::begun_with(&self.config.out) };
+        if begun_with.is_none() && self.config.init.is_some() && self.plan.init.is_none() {
+            eprintln!(
+                "{}: there is no global model yet (`init`); the training starts from the points",
+                global_ply(&self.config.out).display()
+            );
+        }
         let reporter = self.connect(begun_with, board, progress)?;
         let flight = self.flight()?;
         let reporter = self.announce(flight.as_deref(), reporter);
@@ -167,23 +162,52 @@ impl Job {
         Ok(())
     }
 
-    /// Waits for the pictures of the next flight, and returns it with the folder of its dataset. Tells meanwhile that the
-    /// agent waits, except on a radio.
-    fn await_pictures(
-        &self,
+    /// Trains on one flight after the other, as they arrive in a folder, until it is asked to end. A flight that fails is
+    /// told; the next one begins once the folder has changed.
+    fn fly_all(
+        &mut self,
         watched: &Watched,
         origin: Option<Geodetic>,
         board: &StatusBoard,
         progress: &mut Progress,
-    ) -> Result<(Arrival, PathBuf)> {
-        progress.show(&AgentEvent::Watching { folder: watched.folder().to_owned() });
+    ) -> Result<()> {
+        let mut failed = None;
+        loop {
+            let (arrival, data) = self.await_pictures(watched, failed.as_ref(), origin, board, progress)?;
+            let flown = data.and_then(|data| {
+                self.plan = TrainPlan { data, ..train_plan(&self.config) };
+                self.fly(false, board, progress)
+            });
+            failed = match flown {
+                Ok(()) => {
+                    watched.finish(arrival)?;
+                    None
+                }
+                Err(error) if stop::is_asked() => return Err(error),
+                Err(error) => Some(FailedFlight { flight: arrival.flight, reason: format!("{error:#}") }),
+            };
+        }
+    }
+
+    /// Waits for the pictures of the next flight, which is another one than `failed`, and returns it with the folder of its
+    /// dataset, or why there is none. Tells meanwhile that the agent waits, except on a radio.
+    fn await_pictures(
+        &self,
+        watched: &Watched,
+        failed: Option<&FailedFlight>,
+        origin: Option<Geodetic>,
+        board: &StatusBoard,
+        progress: &mut Progress,
+    ) -> Result<(Arrival, Result<PathBuf>)> {
+        let problem = failed.map(|failed| failed.reason.clone());
+        progress.show(&AgentEvent::Watching { folder: watched.folder().to_owned(), problem });
         let identity = self.identity()?;
         let _reporter = (!self.route.is_radio()).then(|| {
             let connection = self.route.connect_reporting(identity, self.credentials.key.as_ref());
             Reporter::start(identity, self.credentials.clone(), connection, Some(board), false, progress).0
         });
-        let arrival = watched.wait()?;
-        let data = watched.begin(&arrival, origin, self.config.max_size_px, progress)?;
+        let arrival = watched.wait(failed)?;
+        let data = watched.begin(&arrival, origin, self.config.max_size_px, progress);
         Ok((arrival, data))
     }
 
@@ -214,7 +238,11 @@ impl Job {
         board: &StatusBoard,
         progress: &mut Progress,
     ) -> Result<Reporter> {
-        let (reporter, answer) = self.ask(Route::connect_reporting, begun_with.is_none(), board, progress)?;
+        let asks = begun_with.is_none();
+        let (reporter, answer) = self.ask(Route::connect_reporting, asks, board, progress)?;
+        if asks && answer.is_none() && reporter.is_connected() {
+            progress.show(&AgentEvent::Retrying { reason: self.unanswered(), attempt: 1 });
+        }
         self.follow_plan(begun_with, answer, progress)?;
         Ok(reporter)
     }
@@ -231,6 +259,15 @@ impl Job {
         let connection = connect(&self.route, identity, self.credentials.key.as_ref());
         let (credentials, board) = (self.credentials.clone(), self.board(board));
         Ok(Reporter::start(identity, credentials, connection, board, asks, progress))
+    }
+
+    /// Why no answer may have come over a connection.
+    fn unanswered(&self) -> String {
+        let Self { config: AgentConfig { site, .. }, device, .. } = self;
+        format!(
+            "no aggregator of the site {site} answers {device}: check `site`, that the aggregator runs at this broker, and \
+             that its list of trusted keys has this device's `key`"
+        )
     }
 
     /// Chooses pictures and frame by what an earlier run has begun with, or else by the answer of the aggregator.

@@ -29,6 +29,9 @@ pub enum AgentEvent {
     Watching {
         /// The folder.
         folder: PathBuf,
+        /// Why the flight that is there cannot be trained on, one line; `None` if there is none, or it is done.
+        #[serde(default, skip_serializing_if = "Option::is_none")]
+        problem: Option<String>,
     },
     /// Progress of making a dataset from photographs.
     Ingesting {

@@ -121,12 +121,14 @@ impl AgentStatus {
     /// Notes an event of the agent. Returns whether the status should be told at once.
     pub fn follow(&mut self, event: &AgentEvent) -> bool {
         let before = self.phase;
+        let short = |problem: &str| problem.chars().take(PROBLEM_CHARS_MAX).collect();
         if let AgentEvent::Retrying { reason, .. } | AgentEvent::GlobalRefused { reason, .. } = event {
-            self.problem = Some(reason.chars().take(PROBLEM_CHARS_MAX).collect());
+            self.problem = Some(short(reason));
         }
         match event {
-            AgentEvent::Watching { .. } => {
-                (self.phase, self.problem, self.seconds_left) = (AgentPhase::Waiting, None, None);
+            AgentEvent::Watching { problem, .. } => {
+                (self.phase, self.seconds_left) = (AgentPhase::Waiting, None);
+                self.problem = problem.as_deref().map(short);
             }
             AgentEvent::ViewsChosen { by, pictures, .. } => {
                 self.phase = AgentPhase::Loading;
@@ -185,7 +187,11 @@ mod tests {
         for (by, pictures) in [(ChosenBy::Cell, Some(10)), (ChosenBy::NoCell, None)] {
             assert!(!status.follow(&chosen(by)) && status.cell_pictures == pictures);
         }
-        assert!(status.follow(&AgentEvent::Watching { folder: "flights".into() }));
+        let watching = |problem| AgentEvent::Watching { folder: "flights".into(), problem };
+        assert!(status.follow(&watching(Some("no picture".into()))));
+        assert_eq!(status.problem.as_deref(), Some("no picture"));
+        status.follow(&watching(None));
+        assert_eq!(status.problem, None);
         assert_eq!(serde_json::to_value(&status).unwrap()["phase"], "waiting");
         assert!(status.follow(&chosen(ChosenBy::NoPlan)) && status.phase == AgentPhase::Loading);
         let started = AgentEvent::Started { views: 9, held_out: 1, splats: 100, steps: 300, resumed_at: 20 };

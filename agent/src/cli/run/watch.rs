@@ -21,6 +21,13 @@ const LOOK_EVERY: Duration = Duration::from_secs(2);
 /// `ingest`.
 const INGEST_SIZE_PX: u32 = 1920;
 
+/// A flight that could not be trained on.
+pub(super) struct FailedFlight {
+    pub(super) flight: Flight,
+    /// Why, in one line.
+    pub(super) reason: String,
+}
+
 /// A folder that is watched.
 pub(super) struct Watched {
     folder: PathBuf,
@@ -46,10 +53,10 @@ impl Watched {
         &self.folder
     }
 
-    /// Waits until a flight that is not done is complete.
-    pub(super) fn wait(&self) -> Result<Arrival> {
-        let last =
-            files::read(&self.note()).ok().and_then(|text| serde_json::from_slice::<Flight>(&text).ok());
+    /// Waits until a flight that is not done is complete. `failed` counts as done: it would fail again.
+    pub(super) fn wait(&self, failed: Option<&FailedFlight>) -> Result<Arrival> {
+        let noted = || serde_json::from_slice::<Flight>(&files::read(&self.note()).ok()?).ok();
+        let last = failed.map(|failed| failed.flight.clone().done()).or_else(noted);
         let (mut watch, begun) = (Watch::after(last), Instant::now());
         loop {
             let snapshot = Snapshot::of(&self.folder);
