@@ -123,8 +123,8 @@ fn made_files(contours_m: f64, has_volumes: bool) -> Vec<MadeFile> {
         ("dtm.tif", "Heights of dsm.tif where the progressive morphological filter (Zhang et al. 2003) finds bare ground, and between them heights of the ground around.".into()),
         ("ortho.tif", "The splats of the model, rendered from straight above each pixel, without those that float above the mesh.".into()),
         ("confidence.tif", "How many views show the surface of dsm.tif at each pixel; the root mean square of the differences between the heights they show and dsm.tif, metres; and the error that about 68 % of such heights stay below, metres, by a model of views, differences and edges that was fitted to two known surfaces.".into()),
-        ("points.laz", "The vertices of the mesh that two cameras see, with its colours, as a Cloud-Optimised Point Cloud.".into()),
-        ("mesh.glb", "The mesh where two cameras see it, decimated by quadric errors of position and colour; colours belong to vertices.".into()),
+        ("points.laz", "The vertices of the mesh that two cameras see and that no more views look through than show, with its colours, as a Cloud-Optimised Point Cloud.".into()),
+        ("mesh.glb", "The mesh without the other vertices, decimated by quadric errors of position and colour; colours belong to vertices.".into()),
         ("tileset.json", "The same mesh as a quadtree of tiles, each level decimated further.".into()),
         ("contours.geojson", format!("Lines every {contours_m} m, by marching squares through means of dtm.tif.")),
     ];
