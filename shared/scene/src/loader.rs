@@ -233,6 +233,9 @@ fn in_shrunk_folder(view: &View, factor: u32) -> Option<PathBuf> {
 fn refuse_missing(views: &[View]) -> Result<(), SceneError> {
     let mut missing = views.iter().filter(|view| !view.path.is_file());
     let Some(first) = missing.next() else { return Ok(()) };
+    if first.path.exists() {
+        return files::open(&first.path).map(drop); // tells what is there
+    }
     let others = missing.count();
     let reason = format!(
         "this picture is missing, and {others} more of the dataset's {}; add them, or remove them from the dataset",
