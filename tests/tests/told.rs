@@ -307,6 +307,19 @@ fn a_second_program_in_a_folder_is_told_who_uses_it() {
 }
 
 #[test]
+fn a_merge_does_not_replace_the_cameras_of_a_training() {
+    let folder = tempfile::tempdir().unwrap();
+    let trained = folder.path().join("trained");
+    fs::create_dir(&trained).unwrap();
+    fs::write(trained.join("model.ply"), "ply").unwrap();
+    let mut merge = Command::new(program("cosurf-aggregator"));
+    let output =
+        merge.args(["merge", "trained", "--out", "trained"]).current_dir(folder.path()).output().unwrap();
+    let told = String::from_utf8_lossy(&output.stderr);
+    assert!(!output.status.success() && told.contains("holds the model of a training"), "{told}");
+}
+
+#[test]
 fn two_pictures_are_too_few_and_a_driver_says_nothing() {
     let folder = tempfile::tempdir().unwrap();
     let views = "views = [\"0000.jpg\", \"0001.jpg\"]\n";

@@ -141,6 +141,11 @@ impl Locals for Folders<'_> {
 
 pub(crate) fn run(args: &MergeArgs) -> Result<()> {
     let _lock = FolderLock::take(&args.out, "cosurf-aggregator merge")?;
+    ensure!(
+        !args.out.join("model.ply").exists(),
+        "{}: holds the model of a training, whose cameras.json would be replaced; choose another --out",
+        args.out.display()
+    );
     for folder in &args.models {
         if let Some(note) = model::unusable_note(&ply::of_model(folder)?) {
             eprintln!("{note}");

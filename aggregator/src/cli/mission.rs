@@ -62,7 +62,7 @@ pub(crate) struct MissionArgs {
     #[arg(long, value_name = "N", default_value_t = 1500, value_parser = clap::value_parser!(u32).range(1..))]
     steps: u32,
     /// Number of rounds that share the steps: in each, all agents train and their models are merged; in all but the first,
-    /// they begin from the global model of the round before. Two rounds end with a better model than one, for one more merge
+    /// they begin from the global model of the round before. Two long rounds end with a better model than one
     #[arg(long, value_name = "N", default_value_t = 1, value_parser = clap::value_parser!(u32).range(1..=9))]
     rounds: u32,
     /// Memory limit of each agent, for example 500MiB

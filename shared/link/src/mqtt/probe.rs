@@ -14,6 +14,8 @@ use super::worker::is_granted;
 
 /// Time for the broker's answer to the subscriptions, and for the farewell.
 const ANSWER_TIMEOUT: Duration = Duration::from_secs(5);
+/// Time for the broker to end the connection after the farewell. Before that, a session that ends with it may still be there.
+const END_TIMEOUT: Duration = Duration::from_secs(1);
 
 /// Connects as a participant, and leaves again. Of what the broker keeps for this client id, nothing is dropped and no
 /// message is acknowledged, so the participant gets everything when it comes back. If the broker keeps nothing, the
@@ -72,4 +74,5 @@ async fn leave(connection: &mut Connection, expiry_s: Option<u32>) {
     let flush = async { while !connection.is_flushed() && connection.exchange().await.is_ok() {} };
     // A broker that takes nothing more notices the end of the connection.
     let _ = timeout(ANSWER_TIMEOUT, flush).await;
+    let _ = timeout(END_TIMEOUT, async { while connection.exchange().await.is_ok() {} }).await;
 }
