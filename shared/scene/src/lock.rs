@@ -14,7 +14,14 @@ const HOLDER_BYTES_MAX: u64 = 200;
 /// The right to write to a folder. It ends when this value is dropped, or when the process ends in any way.
 #[derive(Debug)]
 pub struct FolderLock {
-    _file: File,
+    file: File,
+}
+
+impl Drop for FolderLock {
+    /// A program that is just being started by another thread has a copy of the file until it runs, and would keep the lock.
+    fn drop(&mut self) {
+        let _ = self.file.unlock();
+    }
 }
 
 impl FolderLock {
@@ -41,7 +48,7 @@ impl FolderLock {
         let _ = file.set_len(0);
         let _ = write!(file, "{program}, process {}", std::process::id());
         atomic::remove_partial_files(folder)?;
-        Ok(Self { _file: file })
+        Ok(Self { file })
     }
 }
 
