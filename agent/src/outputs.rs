@@ -33,7 +33,7 @@ pub fn write(
 /// Copies `geo.json`, which tells where on the earth a dataset lies, into the folder of its model. A model of a dataset without
 /// it has none, either.
 pub fn take_over_place(data: &Path, out: &Path) -> Result<()> {
-    let folder = if data.is_file() { data.parent().unwrap_or(data) } else { data };
+    let folder = files::folder_of(data);
     let place = Georeference::of_folder(folder)?;
     let path = out.join(Georeference::FILE);
     files::set_aside_unless_file(&path)?;

@@ -90,9 +90,8 @@ pub fn fly(order: &MissionOrder, around: &Surroundings) -> Result<Flown, Mission
     let plan = make_plan(&dataset, &order.settings, &order.out, around, "")?;
     check_memory(&dataset, &order.settings)?;
     phases.end("preparing");
-    let mut rounds = rounds(order);
-    let last = rounds.pop().unwrap_or_else(|| Round { order: order.clone(), before: None });
-    for (i, round) in rounds.iter().enumerate() {
+    let (earlier, last) = rounds(order);
+    for (i, round) in earlier.iter().enumerate() {
         fly_round(&dataset, round, i + 1, around)?;
         phases.end(&format!("round {}", i + 1));
     }

@@ -4,7 +4,7 @@
 use std::path::Path;
 
 use cosurf_scene::raycast::TRIANGLES_MAX;
-use cosurf_scene::{Caster, LocalFrame, Mesh, SceneError};
+use cosurf_scene::{Caster, LocalFrame, Mesh, SceneError, files};
 use serde::{Deserialize, Serialize};
 
 use super::lpips::{LpipsError, LpipsPair, LpipsScore};
@@ -68,7 +68,7 @@ impl Yardsticks {
         truth: Option<&Path>,
         frame: &LocalFrame,
     ) -> Result<Self, YardstickError> {
-        let folder = if data.is_file() { data.parent().unwrap_or(data) } else { data };
+        let folder = files::folder_of(data);
         let own = folder.join(TRUE_MESH);
         let truth = truth.or_else(|| own.is_file().then_some(own.as_path()));
         let truth = truth.map(|truth| read_truth(truth, frame)).transpose()?;

@@ -185,8 +185,8 @@ impl Plan {
         self.views.iter().enumerate().filter(its).map(|(_, view)| view.name.clone()).collect()
     }
 
-    /// Writes an agent's configuration into its folder below `out`, and returns that folder. The agent begins from the global
-    /// model that it has in the folder `before` of the round before, if it has received one.
+    /// Writes an agent's configuration into its folder below `out`, and returns that folder. `before` is the
+    /// folder of the round before: the agent begins from the global model that it received there, if it did.
     pub(crate) fn write_agent_config(
         &self,
         agent: usize,

@@ -23,9 +23,9 @@ pub(super) struct Round {
     pub(super) before: Option<PathBuf>,
 }
 
-/// The rounds of a mission, in order. Each has its share of the steps, at least one.
-pub(super) fn rounds(order: &MissionOrder) -> Vec<Round> {
-    let count = order.settings.rounds;
+/// The rounds of a mission, in order, and the last one. Each has its share of the steps, at least one.
+pub(super) fn rounds(order: &MissionOrder) -> (Vec<Round>, Round) {
+    let count = order.settings.rounds.max(1);
     let out = |round: u32| match round == count {
         true => order.out.clone(),
         false => order.out.join(format!("round-{round}")),
@@ -40,5 +40,5 @@ pub(super) fn rounds(order: &MissionOrder) -> Vec<Round> {
         }
         Round { order: its, before: (round > 1).then(|| out(round - 1)) }
     };
-    (1..=count).map(round).collect()
+    ((1..count).map(round).collect(), round(count))
 }

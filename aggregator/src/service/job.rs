@@ -95,6 +95,22 @@ enum Attempt {
     },
 }
 
+impl Attempt {
+    /// The attempt that failed with `error`, if the others can be merged without the models that it names. `of_all` gives the
+    /// index of a model among all of them.
+    fn of_error(error: MergeError, of_all: impl Fn(usize) -> usize) -> Result<Self, MergeError> {
+        let (locals, excess, needed_bytes) = match error {
+            MergeError::ModelsTooLarge { locals, needed_bytes, .. } => (locals, Excess::Splats, needed_bytes),
+            MergeError::PicturesTooLarge { locals, needed_bytes, .. } => {
+                (locals, Excess::Pictures, needed_bytes)
+            }
+            other => return Err(other),
+        };
+        let locals = locals.into_iter().map(of_all).collect();
+        Ok(Self::TooLarge { locals, reason: excess.reason(needed_bytes) })
+    }
+}
+
 impl Round {
     /// Merges `stored`, then adds the parts.
     fn attempt(&self, stored: &Stored) -> Result<Attempt, MergeError> {
@@ -103,10 +119,8 @@ impl Round {
         let is_stopped = || stop.load(Ordering::Relaxed);
         let workspace = Workspace::of(settings, scratch, threads);
         let admitted = match admit(stored, settings.into(), workspace, &is_stopped) {
-            Err(MergeError::ModelsTooLarge { locals, needed_bytes, .. }) => {
-                return Ok(Attempt::TooLarge { locals, reason: Excess::Splats.reason(needed_bytes) });
-            }
-            admitted => admitted?,
+            Ok(admitted) => admitted,
+            Err(error) => return Attempt::of_error(error, |local| local),
         };
         let mut verdict = Verdict::of(&admitted, &stored.headers, frame);
         if admitted.count() == 0 {
@@ -119,22 +133,9 @@ impl Round {
             }
             if is_stopped() { ControlFlow::Break(()) } else { ControlFlow::Continue(()) }
         });
-        let of_all =
-            |places: Vec<usize>| places.into_iter().map(|place| admitted.place(place).local).collect();
         let mut merged = match merged {
-            Err(MergeError::PicturesTooLarge { locals, needed_bytes, .. }) => {
-                return Ok(Attempt::TooLarge {
-                    locals: of_all(locals),
-                    reason: Excess::Pictures.reason(needed_bytes),
-                });
-            }
-            Err(MergeError::ModelsTooLarge { locals, needed_bytes, .. }) => {
-                return Ok(Attempt::TooLarge {
-                    locals: of_all(locals),
-                    reason: Excess::Splats.reason(needed_bytes),
-                });
-            }
-            merged => merged?,
+            Ok(merged) => merged,
+            Err(error) => return Attempt::of_error(error, |place| admitted.place(place).local),
         };
         for i in 0..parts.count() {
             merged.model =

@@ -11,6 +11,11 @@ use crate::SceneError;
 /// Damaged files of one name that are kept.
 const KEPT_MAX: u32 = 100;
 
+/// The folder of a dataset or model that is named by its folder or by a file in it.
+pub fn folder_of(path: &Path) -> &Path {
+    if path.is_file() { path.parent().unwrap_or(path) } else { path }
+}
+
 /// Opens a regular file for reading. Fails if the path is a folder, a FIFO or a device; to open a FIFO would wait for its
 /// writer.
 pub fn open(path: &Path) -> Result<File, SceneError> {

@@ -10,7 +10,7 @@ use std::path::{Path, PathBuf};
 use serde::Deserialize;
 use serde::de::IgnoredAny;
 
-use crate::{Picture, View, colmap};
+use crate::{Picture, View, colmap, files};
 
 /// Longest `transforms.json` that is looked through, bytes.
 const FILE_BYTES_MAX: u64 = 1 << 28;
@@ -18,7 +18,7 @@ const FILE_BYTES_MAX: u64 = 1 << 28;
 /// The lines for a dataset. `first` is one of its views.
 pub(crate) fn of(path: &Path, first: Option<&View>) -> Vec<String> {
     let mut notes = Vec::new();
-    let root = if path.is_file() { path.parent().unwrap_or(Path::new("")) } else { path };
+    let root = files::folder_of(path);
     notes.extend(other_models(root));
     let file = if path.is_file() { path.to_owned() } else { path.join("transforms.json") };
     if path.is_file() || colmap::find_model(root).is_none() {

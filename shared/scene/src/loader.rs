@@ -133,7 +133,7 @@ impl Layout {
 fn read(path: &Path, points_bytes_max: usize) -> Result<(Dataset, usize), SceneError> {
     let mut sieve = Sieve::new(points_bytes_max);
     let mut views = read_into(&mut sieve, path)?;
-    mask_files::attach(if path.is_file() { path.parent().unwrap_or(path) } else { path }, &mut views);
+    mask_files::attach(files::folder_of(path), &mut views);
     let (points, stride) = sieve.end();
     Ok((Dataset { views, points }, stride))
 }

@@ -78,19 +78,24 @@ pub(crate) fn hidden(mask: &Mask, size_px: [u32; 2], places: &[[f64; 2]]) -> Res
         let [x, y] = place.map(|at| at.floor() as i64);
         let [width, height] = size_px.map(i64::from);
         if (0..width).contains(&x) && (0..height).contains(&y) {
-            let is_white = shown.rgb[3 * (y * width + x) as usize] >= WHITE_MIN;
-            counts[0] += usize::from(is_white == mask.is_inverted);
+            let value = shown.rgb[3 * (y * width + x) as usize];
+            counts[0] += usize::from(hides(value, mask.is_inverted));
             counts[1] += 1;
         }
     }
     Ok(counts)
 }
 
+/// Whether a value of a mask or of opacity, 0 to 255, hides its pixel.
+fn hides(value: u8, is_inverted: bool) -> bool {
+    let white = if is_inverted { 255 - value } else { value };
+    white < WHITE_MIN
+}
+
 /// Gives the pixels that `shown` hides the colour [`MASKED`]. If `is_inverted`, white hides.
 fn hide(picture: &mut Picture, shown: &Picture, is_inverted: bool) {
     for (pixel, shown) in picture.rgb.chunks_exact_mut(3).zip(shown.rgb.chunks_exact(3)) {
-        let grey = if is_inverted { 255 - shown[0] } else { shown[0] };
-        if grey < WHITE_MIN {
+        if hides(shown[0], is_inverted) {
             pixel.copy_from_slice(&MASKED);
         }
     }

@@ -471,8 +471,8 @@ fn differences<L: Lanes>(x: &[f32], exposed: &[f32], y: &[f32]) -> Sums {
     Sums { l1, ssim: 0.0, squares, signs, signed_x }
 }
 
-/// Computes SSIM for each pixel of one row; it is 1 where `counted` is 0. Returns the sum, and writes the partial derivatives between the margins of
-/// `partials`.
+/// Computes SSIM for each pixel of one row; it is 1 where `counted` is 0. Returns the sum, and writes the partial derivatives
+/// between the margins of `partials`.
 #[inline(always)]
 fn ssim_row<L: Lanes>(
     moments: &Ring<'_, MOMENT_LINES>,

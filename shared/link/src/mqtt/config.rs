@@ -5,7 +5,7 @@ use rumqttc::v5::mqttbytes::QoS;
 use rumqttc::v5::mqttbytes::v5::{Filter, RetainForwardRule};
 
 use super::address::BrokerAddress;
-use super::settings::{ClientSettings, EVENTS_MAX, Login};
+use super::settings::{ClientSettings, Login, RECEIVE_MAX};
 use super::tls::Tls;
 use crate::identity::Identity;
 use crate::transport::Outgoing;
@@ -77,7 +77,7 @@ impl MqttConfig {
             login,
             client_id: identity.client_id(),
             session_expiry_s,
-            receive_max: EVENTS_MAX as u16 / 2,
+            receive_max: RECEIVE_MAX,
             will,
             filters: filters.collect(),
         }

@@ -21,7 +21,7 @@ const END_TIMEOUT: Duration = Duration::from_secs(1);
 /// message is acknowledged, so the participant gets everything when it comes back. If the broker keeps nothing, the
 /// subscriptions are tried too, and ended again. An error is the reason, with the remedy.
 ///
-/// A client id of its own would not do: a broker may take the id from the certificate.
+/// It uses the participant's own client id, because a broker may take the id from the certificate.
 pub fn probe(config: MqttConfig) -> Result<(), String> {
     let settings = config.into_probing_client();
     let runtime = tokio::runtime::Builder::new_current_thread().enable_all().build();

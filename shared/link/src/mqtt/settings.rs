@@ -13,6 +13,8 @@ use crate::transport::Outgoing;
 /// Maximum number of events that wait for the caller: 64 chunks of 64 KiB are 4 MiB. If the caller computes
 /// for too long, further messages are dropped, and the protocol requests them again.
 pub(super) const EVENTS_MAX: usize = 64;
+/// Usual number of messages that the broker may send before the client has acknowledged one.
+pub(super) const RECEIVE_MAX: u16 = EVENTS_MAX as u16 / 2;
 /// Upper bound on the bytes of a publish packet besides topic and payload.
 pub(super) const PACKET_OVERHEAD_BYTES: usize = 16;
 /// Largest packet that a client accepts, in bytes.

@@ -10,7 +10,7 @@ use rumqttc::v5::mqttbytes::v5::Filter;
 
 use super::address::BrokerAddress;
 use super::client::Client;
-use super::settings::{ClientSettings, EVENTS_MAX, Login};
+use super::settings::{ClientSettings, Login, RECEIVE_MAX};
 use super::shared::ClientEvent;
 use super::tls::Tls;
 use crate::faults::{Faults, Line};
@@ -193,7 +193,7 @@ fn settings(
         login: login.cloned(),
         client_id: format!("cosurf-{role}-{}", std::process::id()),
         session_expiry_s: 0,
-        receive_max: EVENTS_MAX as u16 / 2,
+        receive_max: RECEIVE_MAX,
         will: None,
         filters,
     }

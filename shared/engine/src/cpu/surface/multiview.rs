@@ -262,7 +262,8 @@ fn through_ratio(sampled: &Sampled, v_ratio: [f32; 3], into: &mut PlaneGradient)
 }
 
 /// `1 - NCC²` of the patch around a pixel and its warp in the neighbouring view, and the derivative with respect to
-/// `m = N / D`. `None` if a patch leaves its picture or is masked in part, the plane is behind a camera, or the patches do not match.
+/// `m = N / D`. `None` if a patch leaves its picture or is masked in part, the plane is behind a camera, or the patches do
+/// not match.
 fn patches(scene: &Shown, pair: &Pair, sampled: &Sampled) -> Option<(f32, [f32; 3])> {
     let [width, height] = scene.image.size_px();
     let (x, y) = (sampled.x, sampled.y);

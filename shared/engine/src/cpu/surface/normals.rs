@@ -6,8 +6,8 @@
 //! `n = h × v / |h × v|`, which faces the camera.
 //!
 //! The loss is the mean over pixels of `w |α n - N|₁`, with the blended normal `N` and the alpha `α` of the pixel,
-//! which is held constant. It is 0 if the pixel or one of the four is masked. The weight is `w = (1 - ĝ)²`, where `ĝ` is the slope of the photograph (the larger central
-//! difference of luma), scaled to 0..=1 over the picture. Gradients are computed with respect to `N`, and through `n`
+//! which is held constant. It is 0 if the pixel or one of the four is masked. The weight is `w = (1 - ĝ)²`, where `ĝ` is the
+//! slope of the photograph (the larger central difference of luma), scaled to 0..=1 over the picture. Gradients are computed with respect to `N`, and through `n`
 //! with respect to the depths of the four pixels.
 
 use rayon::prelude::*;
