@@ -138,7 +138,8 @@ fn cases(arguments: &Arguments, folder: &Path) -> Result<Vec<Case>> {
         (enlarged(small, &folder.join("jpeg"), "jpg")?, enlarged(small, &folder.join("png"), "png")?);
     let points = with_points(data, &folder.join("points"))?;
     let model = large_model(data, &folder.join("large.ply"))?;
-    let mut merge = vec!["merge".into(), "--out".into(), out.clone(), "--compute".into(), "cpu".into()];
+    let merged = text(&folder.join("merged"));
+    let mut merge = vec!["merge".into(), "--out".into(), merged, "--compute".into(), "cpu".into()];
     merge.extend(agents.iter().map(|agent| text(agent)));
     let mesh = [
         "mesh".into(),

@@ -10,8 +10,11 @@ pub(crate) const WINDOW_MAX: usize = 256;
 pub(crate) const WINDOW_BYTES_MAX: usize = 2 << 20;
 /// The same number before anything is known of the line.
 pub(crate) const WINDOW_FIRST: usize = 32;
-/// The smallest such number on a slow line. It must keep the line busy while a `Want` is on its way.
+/// The smallest such number on a slow line, and its bytes, if that is more. It must keep the line busy while a `Want` is on
+/// its way, which the receiver sends after [`WANT_AFTER`].
 pub(crate) const WINDOW_MIN: usize = 4;
+/// The bytes of the smallest window.
+pub(crate) const WINDOW_BYTES_MIN: usize = 32 << 10;
 /// If the chunks of a full window take longer to be acknowledged than this, the window shrinks. What waits on a line is lost
 /// when the line breaks.
 pub(crate) const WINDOW_SLOW: Duration = Duration::from_secs(6);
@@ -24,8 +27,9 @@ pub(crate) const WANT_EVERY: u32 = WINDOW_FIRST as u32 / 2;
 /// On a slow line, it sends one when a chunk arrives and the last one was sent so long ago.
 pub(crate) const WANT_AFTER: Duration = Duration::from_secs(2);
 
-/// A sender makes chunks smaller if fewer than this have got through from one break of the connection to the next.
-pub(crate) const CHUNKS_PER_CONNECTION: u32 = 4;
+/// A sender makes chunks smaller if fewer than this have got through from one break of the connection to the next. With a
+/// higher number, what a broker has queued for a slow receiver would be sent again in smaller chunks for little.
+pub(crate) const CHUNKS_PER_CONNECTION: u32 = 2;
 /// Messages that tell of a connection within this time of another one tell of the same connection.
 pub(crate) const SAME_CONNECTION: Duration = Duration::from_millis(500);
 /// How many times smaller.
@@ -37,6 +41,9 @@ pub(crate) const REORDER: u64 = 3;
 
 /// Delays after which a sender without a reply offers its model again.
 pub(crate) const ANNOUNCE: Backoff = Backoff::new(Duration::from_secs(2), Duration::from_secs(30));
+/// The same delays after a reply. On a slow line the next one comes after [`WANT_AFTER`] and the time of a chunk: an offer
+/// before would only take the time of another chunk.
+pub(crate) const ANNOUNCE_ANSWERED: Backoff = Backoff::new(Duration::from_secs(5), Duration::from_secs(30));
 
 /// Shortest time between two offers of a global model because devices may lack it.
 pub(crate) const ANNOUNCE_AGAIN: Duration = Duration::from_secs(1);

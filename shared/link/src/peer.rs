@@ -7,7 +7,7 @@ use cosurf_wire::{ChunkStatus, DeviceId, RefusalReason, Want};
 use crate::bits::BitSet;
 use crate::pacing::{
     ASKED_AGAIN, CHUNKS_PER_CONNECTION, REORDER, REPEATED_WANT, RESEND_ALL, SAME_CONNECTION,
-    WINDOW_BYTES_MAX, WINDOW_FAST, WINDOW_FIRST, WINDOW_MAX, WINDOW_MIN, WINDOW_SLOW,
+    WINDOW_BYTES_MAX, WINDOW_BYTES_MIN, WINDOW_FAST, WINDOW_FIRST, WINDOW_MAX, WINDOW_MIN, WINDOW_SLOW,
 };
 
 /// Resends that each chunk earns that a receiver has for the first time. On a line that loses half of its messages, a
@@ -27,9 +27,11 @@ pub(crate) struct Peer {
     in_flight: Vec<SentChunk>,
     /// Limit on them, which follows the line.
     window: usize,
+    window_min: usize,
     window_max: usize,
-    /// Whether the connection was lost since the last `Want`, and with it the chunks in flight.
-    is_cut: bool,
+    /// When the connection was back after it was lost, if that was after the last `Want`. The chunks that were in flight
+    /// before are lost, unless the next `Want` lists them.
+    cut_at: Option<Duration>,
     /// Chunks that were sent to this receiver at least once.
     sent: BitSet,
     /// Number of chunks that were sent to it, chunks sent again included.
@@ -80,7 +82,7 @@ impl Peer {
     /// A receiver of a body of `chunks` chunks of `chunk_bytes` bytes.
     pub(crate) fn new(device: DeviceId, chunks: u32, chunk_bytes: u32, is_required: bool) -> Self {
         let resends_max = chunks.max(WINDOW_FIRST as u32);
-        let window_max = (WINDOW_BYTES_MAX / chunk_bytes.max(1) as usize).clamp(WINDOW_FIRST, WINDOW_MAX);
+        let chunks_of = |bytes: usize| bytes / chunk_bytes.max(1) as usize;
         Self {
             device,
             phase: PeerPhase::Silent,
@@ -88,8 +90,9 @@ impl Peer {
             wanted: BitSet::full(chunks),
             in_flight: Vec::new(),
             window: WINDOW_FIRST,
-            window_max,
-            is_cut: false,
+            window_min: chunks_of(WINDOW_BYTES_MIN).clamp(WINDOW_MIN, WINDOW_FIRST),
+            window_max: chunks_of(WINDOW_BYTES_MAX).clamp(WINDOW_FIRST, WINDOW_MAX),
+            cut_at: None,
             sent: BitSet::empty(chunks),
             sends: 0,
             before: (0, 0),
@@ -238,9 +241,10 @@ impl Peer {
         self.poor >= 2
     }
 
-    /// Notes that the connection was lost. What was in flight counts as lost when the receiver next tells what it has.
-    pub(crate) fn on_cut(&mut self) {
-        self.is_cut = true;
+    /// Notes that the connection was lost, and is back. What was in flight counts as lost when the receiver next tells what
+    /// it has.
+    pub(crate) fn on_cut(&mut self, now: Duration) {
+        self.cut_at = Some(now);
     }
 
     /// The chunks in flight that have arrived, as far as they were sent only once.
@@ -257,18 +261,20 @@ impl Peer {
         if waited < WINDOW_FAST && self.in_flight.len() >= self.window / 2 {
             self.window = (2 * self.window).min(self.window_max);
         } else if waited > WINDOW_SLOW {
-            self.window = (self.window / 2).max(WINDOW_MIN);
+            self.window = (self.window / 2).max(self.window_min);
         }
     }
 
     fn take_want(&mut self, now: Duration, chunks: u32, want: &Want) {
         self.phase = PeerPhase::Fetching;
         self.learn(now, want);
-        let is_cut = std::mem::take(&mut self.is_cut);
+        let cut_at = self.cut_at.take();
         let status_of = |index| want.missing.status_of(index);
         let newest = self.arrived(want).map(|sent| sent.order).max();
         let is_lost = |sent: &SentChunk| {
-            want.idle || is_cut || newest.is_some_and(|newest| sent.order + REORDER < newest)
+            want.idle
+                || cut_at.is_some_and(|at| sent.at < at)
+                || newest.is_some_and(|newest| sent.order + REORDER < newest)
         };
         let wanted = &mut self.wanted;
         self.in_flight.retain(|sent| match status_of(sent.index) {

@@ -81,13 +81,19 @@ pub(crate) fn is_chunk(topic: &str) -> bool {
     matches!(Topic::parse(topic), Ok((_, LocalChunk { .. } | GlobalChunk { .. } | TileChunk { .. })))
 }
 
+/// Whether messages under a topic are requests for chunks.
+pub(crate) fn is_want(topic: &str) -> bool {
+    use Topic::{GlobalReply, LocalReply};
+    let reply = match Topic::parse(topic) {
+        Ok((_, LocalReply { reply, .. } | GlobalReply { reply, .. })) => reply,
+        _ => return false,
+    };
+    reply == Reply::Want
+}
+
 /// Whether the protocol itself makes up for messages under a topic that are lost: chunks, and requests for chunks.
 pub(crate) fn is_made_up_for(topic: &str) -> bool {
-    use Topic::{GlobalReply, LocalReply};
-    let is_want = |topic| {
-        matches!(topic, LocalReply { reply: Reply::Want, .. } | GlobalReply { reply: Reply::Want, .. })
-    };
-    is_chunk(topic) || Topic::parse(topic).is_ok_and(|(_, topic)| is_want(topic))
+    is_chunk(topic) || is_want(topic)
 }
 
 impl Outgoing {

@@ -16,7 +16,8 @@ use crate::bits::BitSet;
 use crate::key::ModelKey;
 use crate::offer::Offer;
 use crate::pacing::{
-    ANNOUNCE, ANNOUNCE_AGAIN, ASKED_AGAIN, Backoff, RENUMBERED_MAX, SHRINK, STORED_OFFER, UNANSWERED_OFFERS,
+    ANNOUNCE, ANNOUNCE_AGAIN, ANNOUNCE_ANSWERED, ASKED_AGAIN, Backoff, RENUMBERED_MAX, SHRINK, STORED_OFFER,
+    UNANSWERED_OFFERS,
 };
 use crate::peer::{Peer, PeerPhase};
 use crate::transport::Outgoing;
@@ -24,9 +25,9 @@ use crate::transport::Outgoing;
 /// Limit on the receivers of a global model, and on the devices whose sessions a node remembers, unless another is set.
 pub const DEVICES_MAX: usize = 1024;
 
-/// Smallest chunk, in bytes, that a sender uses when the link limits the size of messages. With smaller
-/// chunks, the overhead of the messages would be too large.
-const CHUNK_BYTES_MIN: u32 = 1024;
+/// Smallest chunk, in bytes, that a sender uses when the link limits the size of messages, or breaks often. With smaller
+/// chunks, the overhead of the messages would be too large: here it is a tenth.
+const CHUNK_BYTES_MIN: u32 = 512;
 
 /// The progress of an upload.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
@@ -237,7 +238,7 @@ impl Uploader {
     /// Repeats the offer, because the transport is connected (again), and the broker may have lost the offer and the chunks
     /// that were on their way. If hardly a chunk has got through twice in a row, chunks become smaller.
     pub fn on_connected(&mut self, now: Duration) {
-        self.peers.iter_mut().for_each(Peer::on_cut);
+        self.peers.iter_mut().for_each(|peer| peer.on_cut(now));
         self.announce_now(now);
         self.offer_stored_at = self.offer_stored_at.map(|_| now);
         if let (Destination::Aggregator, [peer]) = (self.destination, &self.peers[..]) {
@@ -251,7 +252,7 @@ impl Uploader {
         let chunks = self.offer.header.chunks();
         let mut open = self.peers.iter_mut().filter(|peer| !peer.is_closed());
         if open.find(|peer| peer.device == receiver).is_some_and(|peer| peer.on_connected(now, chunks)) {
-            self.set_chunk_bytes(now, self.offer.header.chunk_bytes / SHRINK);
+            self.set_chunk_bytes(now, (self.offer.header.chunk_bytes / SHRINK).max(CHUNK_BYTES_MIN));
         }
     }
 
@@ -291,10 +292,12 @@ impl Uploader {
         self.set_chunk_bytes(now, fitting.min(self.offer.header.chunk_bytes / 2))
     }
 
-    /// Repeats the offer with chunks of this size. Returns `false` if they would be too small to be useful.
+    /// Repeats the offer with chunks of this size. Returns `false` if they would not be smaller than now, or too small to be
+    /// useful.
     fn set_chunk_bytes(&mut self, now: Duration, chunk_bytes: u32) -> bool {
         let header = cosurf_wire::ModelHeader { chunk_bytes, ..self.offer.header };
-        if chunk_bytes < CHUNK_BYTES_MIN || header.check().is_err() {
+        let is_smaller = (CHUNK_BYTES_MIN..self.offer.header.chunk_bytes).contains(&chunk_bytes);
+        if !is_smaller || header.check().is_err() {
             return false;
         }
         let before_bytes = std::mem::replace(&mut self.offer.header, header).chunk_bytes;
@@ -367,7 +370,7 @@ impl Uploader {
             }
             _ => return None,
         }
-        (self.unanswered, self.backoff) = (0, ANNOUNCE);
+        self.unanswered = 0;
         self.on_answer(now);
         if self.peers[index].is_required && self.is_stored() {
             return Some(UploadEvent::Finished);
@@ -480,9 +483,10 @@ impl Uploader {
     }
 
     /// Schedules the next offer after a reply. The reply of one device does not tell that the others have heard the offer,
-    /// so it does not delay the next one.
+    /// so it does not change the time of the next one.
     fn on_answer(&mut self, now: Duration) {
         if self.is_closed() || !matches!(self.destination, Destination::Devices(_)) {
+            self.backoff = ANNOUNCE_ANSWERED;
             self.delay_announcement(now);
         }
     }

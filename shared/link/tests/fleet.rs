@@ -11,7 +11,7 @@ use cosurf_link::faults::Dice;
 use cosurf_link::{Faults, InboxLimits, MemoryNetwork, ModelKey, Node, Offer, Outages, Role};
 use cosurf_tests::fleet::{Member, run_until};
 use cosurf_tests::offers::{offer, pooled_offer};
-use cosurf_wire::{DeviceId, ModelKind, TileId};
+use cosurf_wire::{DeviceId, ModelHeader, ModelKind, TileId};
 
 /// Number of seeds in one test run. Two tests use half of them each.
 const SEEDS: u64 = 10_000;
@@ -168,7 +168,9 @@ fn check(member: &Member, offers: &[Offer]) {
     assert_eq!(member.disk.len(), offers.len(), "{name} has too much or too little");
     for offer in offers {
         let (header, body) = &member.disk[&ModelKey::from(offer.header)];
-        assert_eq!(header, &offer.header, "{name}");
+        // Over a line that breaks often, chunks may have become smaller.
+        assert!(header.chunk_bytes <= offer.header.chunk_bytes, "{name}");
+        assert_eq!(ModelHeader { chunk_bytes: offer.header.chunk_bytes, ..*header }, offer.header, "{name}");
         assert!(body == &offer.body, "{name} has other bytes");
     }
     assert_eq!(member.stored_twice, 0, "{name} stored a model twice");

@@ -199,3 +199,47 @@ fn a_client_drops_a_session_whose_first_message_never_gets_through() {
         std::thread::sleep(Duration::from_millis(200));
     }
 }
+
+/// Serves a client whose session the broker has kept: a request for chunks comes first, and another one after the
+/// acknowledgement of the client's first message.
+fn serve_kept_session(mut stream: TcpStream) {
+    let want = |number: u8| {
+        let topic = b"gs/v1/site/drone/dn/want";
+        let mut packet = vec![0x30, topic.len() as u8 + 4, 0, topic.len() as u8];
+        packet.extend_from_slice(topic);
+        packet.extend([0, number]);
+        packet
+    };
+    while let Some((kind, body)) = read_packet(&mut stream) {
+        let answer = match kind >> 4 {
+            1 => [vec![0x20, 3, 1, 0, 0], want(1)].concat(),
+            3 => {
+                let topic = usize::from(u16::from_be_bytes([body[0], body[1]]));
+                [vec![0x40, 2, body[topic + 2], body[topic + 3]], want(2)].concat()
+            }
+            _ => continue,
+        };
+        if stream.write_all(&answer).is_err() {
+            return;
+        }
+    }
+}
+
+/// A request from before the break does not know of the chunks that arrived after it.
+#[test]
+fn requests_that_a_broker_kept_while_the_client_was_away_are_dropped() {
+    let listener = TcpListener::bind("127.0.0.1:0").unwrap();
+    let port = listener.local_addr().unwrap().port();
+    std::thread::spawn(move || serve_kept_session(listener.accept().unwrap().0));
+    let (site, device) = (SiteId::new("site").unwrap(), DeviceId::new("drone").unwrap());
+    let identity = Identity { site, device, session: 1, role: Role::Device };
+    let broker = BrokerAddress::plain("127.0.0.1", port);
+    let mut transport =
+        MqttTransport::start(MqttConfig { broker, identity, will: None, tls: None, login: None });
+    let timeout = Duration::from_secs(20);
+    assert_eq!(transport.poll(timeout), Some(TransportEvent::Connected));
+    let topic = Topic::State { device }.to_text(&site);
+    transport.publish(&Outgoing { topic, payload: vec![1], retain: false }).unwrap();
+    let event = transport.poll(timeout);
+    assert!(matches!(&event, Some(TransportEvent::Incoming { payload, .. }) if payload == &[2]), "{event:?}");
+}

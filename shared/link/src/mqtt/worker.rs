@@ -20,6 +20,7 @@ use super::session::{InFlight, SUBSCRIBE_ID};
 use super::settings::{ClientSettings, KEEP_ALIVE_S};
 use super::shared::{ClientEvent, Shared};
 use crate::pacing::Backoff;
+use crate::transport::is_want;
 
 /// Delays between attempts to connect.
 const RECONNECT: Backoff = Backoff::new(Duration::from_millis(50), Duration::from_secs(5));
@@ -62,6 +63,8 @@ struct Line {
     /// that the broker has kept.
     is_ready: bool,
     has_session: bool,
+    /// Whether the broker has acknowledged a message of this connection. What it kept while the client was away came before.
+    is_caught_up: bool,
     /// Whether a message has arrived.
     is_fruitful: bool,
     /// Interval in which at least one packet is sent.
@@ -191,6 +194,7 @@ impl Worker {
             connection,
             is_ready: filters.is_empty() || ack.session_present,
             has_session: ack.session_present,
+            is_caught_up: !ack.session_present,
             is_fruitful: false,
             keep_alive: Duration::from_secs(keep_alive_s.max(1).into()),
             pinged: None,
@@ -221,13 +225,18 @@ impl Worker {
                     self.on_ready(line).await;
                 }
             }
-            Packet::PubAck(ack) => self.on_acknowledgement(&ack).await,
+            Packet::PubAck(ack) => {
+                line.is_caught_up = true;
+                self.on_acknowledgement(&ack).await;
+            }
             Packet::Publish(message) => {
                 // The line works, even if it breaks before the subscriptions are granted.
                 self.reconnect.reset();
                 line.is_fruitful = true;
                 let (id, qos) = (message.pkid, message.qos);
-                self.on_message(message).await;
+                if line.is_caught_up || !is_old_want(&message) {
+                    self.on_message(message).await;
+                }
                 if qos == QoS::AtLeastOnce {
                     line.connection.queue(&Packet::PubAck(PubAck::new(id, None)));
                 }
@@ -333,6 +342,13 @@ impl Worker {
     fn is_stopping(&self) -> bool {
         self.shared.is_stopping.load(Ordering::Relaxed)
     }
+}
+
+/// Whether a message that the broker has kept is of no use: a request for chunks that does not know what has arrived since.
+/// If it were obeyed, chunks that arrived before the line broke would be sent again. The client offers its models at the
+/// start of each connection, and the receiver's answer lists what it lacks now.
+fn is_old_want(message: &Publish) -> bool {
+    str::from_utf8(&message.topic).is_ok_and(is_want)
 }
 
 /// Whether the broker grants all subscriptions.
