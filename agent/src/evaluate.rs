@@ -11,6 +11,9 @@ const TRUTH_BYTES_PER_PIXEL: u64 = 3 + 12 + 1;
 /// SSIM keeps five maps of three channels in 64-bit floats, of 13 rows.
 const SSIM_BYTES_PER_COLUMN: u64 = 13 * 5 * 3 * 8;
 
+/// A picture that one plain colour shows better than this has too little in it to tell whether anything was learnt, dB.
+const PLAIN_PSNR_MAX: f64 = 30.0;
+
 /// The scores of one view.
 #[derive(Clone, Debug, PartialEq, Serialize)]
 pub struct ViewScore {
@@ -20,6 +23,8 @@ pub struct ViewScore {
     pub psnr: f64,
     /// SSIM, -1..=1.
     pub ssim: f64,
+    /// PSNR of one plain colour, the picture's mean, dB. A model that shows the view no better has learnt nothing of it.
+    pub plain_psnr: f64,
 }
 
 /// The scores of a model.
@@ -31,6 +36,15 @@ pub struct Score {
     pub ssim: Option<f64>,
     /// The scores of each view, in the order in which the views were given.
     pub views: Vec<ViewScore>,
+}
+
+impl Score {
+    /// Whether the model shows none of the views better than one plain colour does. Never with fewer than two views: one
+    /// alone may lie beside what the others show.
+    pub fn shows_nothing(&self) -> bool {
+        let is_blank = |view: &ViewScore| view.psnr <= view.plain_psnr.min(PLAIN_PSNR_MAX);
+        self.views.len() >= 2 && self.views.iter().all(is_blank)
+    }
 }
 
 /// Upper bound on the bytes that [`score`] allocates besides the rendering. Fails if the header of a picture cannot be
@@ -67,11 +81,38 @@ pub fn score(
             let photograph = mask::read(&view.path, view.mask.as_ref(), size_px, shrinking)?;
             rendering.rgb.iter_mut().for_each(|v| *v = v.clamp(0.0, 1.0));
             let [psnr, ssim] = metrics::scores(&rendering.rgb, &photograph);
-            Ok(ViewScore { name: view.name.clone(), psnr, ssim })
+            Ok(ViewScore {
+                name: view.name.clone(),
+                psnr,
+                ssim,
+                plain_psnr: metrics::plain_psnr(&photograph),
+            })
         })
         .collect::<Result<Vec<_>>>()?;
     let mean = |of: fn(&ViewScore) -> f64| {
         (!scores.is_empty()).then(|| scores.iter().map(of).sum::<f64>() / scores.len() as f64)
     };
     Ok(Score { psnr: mean(|s| s.psnr), ssim: mean(|s| s.ssim), views: scores })
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn a_model_shows_nothing_if_no_view_is_better_than_a_plain_colour() {
+        let shows_nothing = |views: &[[f64; 2]]| {
+            let view = |[psnr, plain_psnr]: &[f64; 2]| ViewScore {
+                name: String::new(),
+                psnr: *psnr,
+                ssim: 0.0,
+                plain_psnr: *plain_psnr,
+            };
+            Score { psnr: None, ssim: None, views: views.iter().map(view).collect() }.shows_nothing()
+        };
+        assert!(shows_nothing(&[[10.0, 11.0], [10.5, 10.8]]));
+        assert!(!shows_nothing(&[[10.0, 11.0], [20.0, 10.8]]), "one view is learnt");
+        assert!(!shows_nothing(&[[10.0, 11.0]]), "one view alone says little");
+        assert!(!shows_nothing(&[[50.0, f64::INFINITY], [50.0, f64::INFINITY]]), "plain pictures");
+    }
 }

@@ -14,7 +14,9 @@ use std::time::{Duration, Instant};
 
 use cosurf_contract::{AgentPhase, AgentStatus};
 use cosurf_link::TlsFiles;
+use cosurf_scene::{Dataset, Picture};
 use cosurf_tests::datasets::write_city;
+use cosurf_tests::dice::Dice;
 use cosurf_tests::mosquitto::{Authority, Mosquitto, PLAIN, example};
 use cosurf_tests::programs::program;
 use cosurf_tests::skips::skip;
@@ -330,6 +332,25 @@ fn two_pictures_are_too_few_and_a_driver_says_nothing() {
     let output = devices.arg("devices").env_remove("XDG_RUNTIME_DIR").output().unwrap();
     let told = String::from_utf8_lossy(&output.stderr);
     assert!(output.status.success() && told.is_empty(), "{told}");
+}
+
+/// Pictures that have nothing to do with their poses.
+#[test]
+fn a_training_that_learns_nothing_fails_and_leaves_its_model() {
+    let folder = tempfile::tempdir().unwrap();
+    let data = folder.path().join("data");
+    write_city(&data, 40.0, 16, [80, 60]);
+    let mut dice = Dice(1);
+    for view in Dataset::open(&data).unwrap().views {
+        let noise = (0..3 * 80 * 60).map(|_| dice.below(256) as u8).collect();
+        Picture::new([80, 60], noise).write_jpeg(&view.path, 90).unwrap();
+    }
+    let mut train = Command::new(program("cosurf-agent"));
+    train.args(["train", "data", "--out", "out", "--steps", "100", "--compute", "cpu"]);
+    let output = train.current_dir(folder.path()).output().unwrap();
+    let told = String::from_utf8_lossy(&output.stderr);
+    assert!(!output.status.success() && told.contains("nothing was learnt"), "{told}");
+    assert!(folder.path().join("out/model.ply").is_file());
 }
 
 #[test]

@@ -31,6 +31,9 @@ const FULL_DISK_WAIT: Duration = Duration::from_secs(5);
 /// hundred steps.
 const CHECKPOINT_SHARE: f64 = 0.05;
 
+/// After so many steps, a model of pictures with their poses shows other views of the scene better than plain colours do.
+const STEPS_TO_LEARN: u32 = 100;
+
 /// What a training needs on the disk at least for each splat that it begins with, bytes: a checkpoint, and the next one
 /// before it replaces the first; each has 59 parameters of a splat and two moments of each.
 const BYTES_PER_SPLAT: u64 = 2 * 59 * 3 * 4;
@@ -327,6 +330,15 @@ fn finish(
         curve: curve.clone(),
     };
     until_room(progress, || outputs::write(out, &splats, &cameras, &frame, &report))?;
+    if plan.steps >= STEPS_TO_LEARN && score.shows_nothing() {
+        bail!(
+            "{}: nothing was learnt, the model shows pictures that were held out no better than one plain colour would \
+             ({:.1} dB); check that the poses belong to the pictures. The model is in {}",
+            plan.data.display(),
+            score.psnr.unwrap_or(0.0),
+            out.display()
+        );
+    }
     Ok(report)
 }
 

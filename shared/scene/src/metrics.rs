@@ -1,5 +1,7 @@
 //! Picture quality (PSNR, SSIM) as the original 3DGS code measures it on held-out views.
 
+use glam::DVec3;
+
 use crate::Picture;
 
 /// Side of SSIM's square window, pixels.
@@ -49,6 +51,23 @@ pub fn scores(rendering: &[f32], photograph: &Picture) -> [f64; 2] {
     let share = count as f64 / counted.len() as f64;
     let total = ssim_where(rendering, &wanted, photograph.size_px, |pixel| counted[pixel]);
     [psnr(rendering, &wanted) + 10.0 * share.log10(), total / (3 * count) as f64]
+}
+
+/// [`psnr`] of one plain colour, the mean of the photograph, against the photograph, over its pixels that count: what a model
+/// that has learnt nothing reaches. Infinite for a plain photograph.
+///
+/// Panics if no pixel counts; [`crate::mask::read`] refuses such photographs.
+pub fn plain_psnr(photograph: &Picture) -> f64 {
+    let values = photograph.to_unit();
+    let pixels = values.as_chunks::<3>().0.iter().zip(photograph.counted());
+    let (mut count, mut sum, mut squares) = (0.0, DVec3::ZERO, 0.0);
+    for (rgb, _) in pixels.filter(|(_, counts)| *counts) {
+        let rgb = DVec3::from_array(rgb.map(f64::from));
+        (count, sum, squares) = (count + 1.0, sum + rgb, squares + rgb.length_squared());
+    }
+    assert!(count > 0.0, "no pixel of the photograph counts");
+    let mse = (squares / count - (sum / count).length_squared()) / 3.0;
+    -10.0 * mse.max(0.0).log10()
 }
 
 /// Mean structural similarity of two pictures `[height, width, rgb]` with values 0 to 1; 1 if they are
@@ -239,6 +258,17 @@ mod tests {
         // One value in four is off by a half: mse 1/16.
         let expected = 20.0 * (1.0 / 0.25_f64).log10();
         assert!((psnr(&[0.0; 4], &[0.0, 0.0, 0.5, 0.0]) - expected).abs() < 1e-12);
+    }
+
+    #[test]
+    fn one_plain_colour_is_as_good_as_the_spread_of_the_pixels_that_count() {
+        let of = |pixels: &[[u8; 3]]| {
+            plain_psnr(&Picture::new([pixels.len() as u32, 1], pixels.as_flattened().to_vec()))
+        };
+        let half_db = 20.0 * 2.0_f64.log10();
+        assert!((of(&[[0; 3], [255; 3]]) - half_db).abs() < 1e-12);
+        assert!((of(&[[0; 3], MASKED, [255; 3]]) - half_db).abs() < 1e-12);
+        assert_eq!(of(&[[255; 3], MASKED]), f64::INFINITY);
     }
 
     #[test]
