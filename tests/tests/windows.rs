@@ -33,6 +33,7 @@ fn programs_for_windows_work() {
     assert!(wine.run(AGENT, &["doctor"]).status.success());
     little_memory_is_refused(&wine);
     a_mission_flies_and_shows_its_page(&wine);
+    agents_end_with_a_mission_that_is_killed(&wine);
     ctrl_c_ends_a_training_with_a_checkpoint(&wine);
 }
 
@@ -86,6 +87,24 @@ fn a_mission_flies_and_shows_its_page(wine: &Wine) {
     // Over the files that are there.
     let again = wine.run(AGGREGATOR, &[&MISSION[..], &["--out", "out"]].concat());
     assert!(again.status.success(), "a mission that has ended cannot be repeated");
+}
+
+fn agents_end_with_a_mission_that_is_killed(wine: &Wine) {
+    let steps = ["mission", "--data", "data", "--agents", "2", "--steps", "100000", "--memory", MEMORY];
+    let mut mission = wine.command(AGGREGATOR, &[&steps[..], &["--out", "killed"]].concat());
+    let mut mission = mission.spawn().unwrap();
+    let begun = Instant::now();
+    let agents = || wine.processes("cosurf-agent.exe").len();
+    while agents() < 2 {
+        assert!(begun.elapsed() < PATIENCE && mission.try_wait().unwrap().is_none(), "no agents begin");
+        sleep(LOOK_EVERY);
+    }
+    mission.kill().unwrap();
+    mission.wait().unwrap();
+    while agents() > 0 {
+        assert!(begun.elapsed() < PATIENCE, "agents outlive their mission");
+        sleep(LOOK_EVERY);
+    }
 }
 
 /// The answer to a request; `None` if there is none yet.
