@@ -169,6 +169,9 @@ pub struct LocalSummary {
     /// 0..=1; 0 without compression.
     #[serde(default)]
     pub unproven: f64,
+    /// Number of the model's cameras; 0 in records of version 0.1.
+    #[serde(default)]
+    pub cameras: usize,
 }
 
 /// Merges all of `locals`. Calls `tell` after every step of the distillation; `tell` may stop the merge. If a graphics
@@ -311,7 +314,8 @@ impl Merger<'_> {
             None => (Compression::default(), 0.0),
         };
         let (arrived, lost) = (splats.len(), removed.len());
-        self.summary.locals.push(LocalSummary { arrived, overlap, removed: lost, unproven });
+        let cameras = self.surveyed.cameras[index].len();
+        self.summary.locals.push(LocalSummary { arrived, overlap, removed: lost, unproven, cameras });
         self.summary.joined += arrived - lost;
         Ok(splats.without(&removed))
     }

@@ -180,7 +180,8 @@ fn pages_have_no_serious_fault_on_any_screen() {
     let program = site.start();
     tell(&mut site.client(), "drone-1", 17);
     site.upload("drone-1", 1, 2000);
-    await_log(&program, "report.html shows revision 1");
+    site.upload("drone-2", 1, 2100);
+    await_log(&program, "report.html shows revision 2");
     let out = site.folder.path().join("out");
     let viewer = Running::start("cosurf-aggregator", &out, &["view", "."]);
     let pages = [
@@ -192,7 +193,11 @@ fn pages_have_no_serious_fault_on_any_screen() {
         for (width_px, is_dark) in [(1100, false), (1100, true), (390, false), (390, true)] {
             browser.look(width_px, is_dark);
             browser.open(url);
-            browser.value("cosurf.then(() => true)");
+            // With the layer of the owners, whose legend names both devices.
+            let legend = "cosurf.then(async (viewer) => { await viewer.takeLayer(4); \
+                          return viewer.section.querySelector('.legend').innerText; })";
+            let legend = browser.value(legend).to_string();
+            assert!(legend.contains("drone-1") && legend.contains("drone-2"), "{name}: {legend}");
             if *name == "live" {
                 await_page(&browser, "document.querySelector('#devices td')", PATIENCE);
             }

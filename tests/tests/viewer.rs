@@ -106,6 +106,7 @@ fn the_viewer_draws_what_the_cpu_renderer_draws() {
     depths_are_those_of_the_renderer(&browser);
     keys_move_the_camera(&browser);
     areas_and_profiles_are_those_of_the_ground(&browser);
+    layers_of_photographs_count_what_these_show(&browser);
     assert_eq!(browser.complaints(), [""; 0]);
 }
 
@@ -166,6 +167,58 @@ fn areas_and_profiles_are_those_of_the_ground(browser: &Chromium) {
     // Along y = 3 the ground lies between -2.83 and 2.83; its splats are up to a metre wide.
     assert!((-3.6..-1.5).contains(&figure(6)) && (1.5..3.6).contains(&figure(8)), "{told}");
     assert!(told[2].as_u64().unwrap() > 500, "{told}");
+}
+
+/// The number of photographs that each splat is on, and the device of the one that shows it finest, against the cameras; then
+/// the colours of both layers.
+fn layers_of_photographs_count_what_these_show(browser: &Chromium) {
+    let devices = "cosurf.then((viewer) => { viewer.scene.devices = ['a', 'b']; \
+                   viewer.scene.cameras.forEach((camera, i) => { camera.device = i >> 1; }); \
+                   viewer.section.querySelector('[data-value=\"4\"]').hidden = false; \
+                   return viewer.drawing.sorter.marks(viewer.scene.cameras)\
+                   .then(({counts, owners}) => [[...counts], [...owners]]); })";
+    let marks = browser.value(devices);
+    let splats = quantised(&model());
+    let mut wrong = 0;
+    for (i, mean) in splats.means.iter().enumerate() {
+        let world = DVec3::from(mean.map(f64::from));
+        let shown = cameras().into_iter().enumerate().filter_map(|(k, camera)| {
+            let at = camera.cam_from_world.rotation * world + camera.cam_from_world.translation;
+            let px = DVec2::new(at.x, at.y) / at.z * camera.focal_px + camera.center_px;
+            let [width, height] = camera.size_px.map(f64::from);
+            let is_in = at.z > 0.0 && px.min_element() >= 0.0 && px.x <= width && px.y <= height;
+            is_in.then_some((at.z, k >> 1))
+        });
+        let shown: Vec<(f64, usize)> = shown.collect();
+        let owner = shown.iter().min_by(|a, b| a.0.total_cmp(&b.0)).map_or(255, |(_, device)| *device);
+        let got = [0, 1].map(|part| marks[part][i].as_u64().unwrap() as usize);
+        wrong += usize::from(got != [shown.len(), owner]);
+    }
+    // Some splats lie on the edge of a picture.
+    assert!(wrong <= splats.len() / 200, "{wrong} of {}", splats.len());
+    let layer = |layer: u32| {
+        let middle = format!(
+            "cosurf.then(async (viewer) => {{ viewer.does('layer', {layer}); await viewer.takeLayer({layer}); \
+             const camera = viewer.scene.cameras[2]; await viewer.picture(camera, {layer}); \
+             const gl = viewer.drawing.gl; const pixel = new Uint8Array(4); \
+             gl.readPixels(120, 90, 1, 1, gl.RGBA, gl.UNSIGNED_BYTE, pixel); \
+             return [[...pixel], viewer.section.querySelector('.legend').innerText, \
+             viewer.section.querySelector('[data-value=\"{layer}\"]').getAttribute('aria-pressed')]; }})"
+        );
+        browser.value(&middle)
+    };
+    let (confidence, owner, colour) = (layer(3), layer(4), layer(0));
+    assert!(confidence[1].as_str().unwrap().contains("16 or more"), "{confidence}");
+    assert!(owner[1].as_str().unwrap().starts_with("a\nb\n") && owner[2] == "true", "{owner}");
+    assert_eq!(colour[1], "", "{colour}");
+    // The middle of the third picture is on all four, and the fourth, of b, is the nearest: hsl(349.5 62% 48%).
+    let [red, green, blue] = [0, 1, 2].map(|k| owner[0][k].as_f64().unwrap());
+    assert!((green / red - 47.0 / 198.0).abs() < 0.08 && (blue / red - 73.0 / 198.0).abs() < 0.08, "{owner}");
+    let [red, green, blue] = [0, 1, 2].map(|k| confidence[0][k].as_f64().unwrap());
+    assert!(
+        (red / green - 33.0 / 145.0).abs() < 0.08 && (blue / green - 140.0 / 145.0).abs() < 0.08,
+        "{confidence}"
+    );
 }
 
 /// The model of a mission or another folder with cameras, which the variable `VIEWER_MODEL` names.

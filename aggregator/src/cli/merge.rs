@@ -207,7 +207,7 @@ pub(crate) fn run(args: &MergeArgs) -> Result<()> {
     }
     let unit = folders.frame.unit();
     for (place, local) in merged.summary.locals.iter().enumerate() {
-        let LocalSummary { arrived, overlap, removed, unproven } = local;
+        let LocalSummary { arrived, overlap, removed, unproven, .. } = local;
         let Place { local, trust, size, is_verified, void, by, tone } = admitted.place(place);
         let (folder, percent) = (&names[local], 100.0 * overlap);
         let (arrived, removed) = (counted(*arrived, "splat"), counted(*removed, "splat"));

@@ -2,11 +2,12 @@
 
 use std::io::{self, Write};
 use std::net::SocketAddr;
-use std::path::PathBuf;
+use std::path::{Path, PathBuf};
 use std::sync::mpsc;
 
 use anyhow::{Context, Result};
 use clap::Args;
+use cosurf_aggregator::service::camera_counts;
 use cosurf_aggregator::station::{Token, serve_model};
 use cosurf_aggregator::viewer::{FIRST_SPLATS, Room, Walkable};
 use cosurf_contract::counted;
@@ -30,11 +31,13 @@ pub(crate) struct ViewArgs {
 
 pub(crate) fn run(args: &ViewArgs) -> Result<()> {
     let token = args.http_token_file.as_deref().map_or_else(Token::random, Token::read)?;
-    if let Some(note) = model::unusable_note(&ply::of_model(&args.model)?) {
+    let file = ply::of_model(&args.model)?;
+    if let Some(note) = model::unusable_note(&file) {
         eprintln!("{note}");
     }
     let room = Room { first_splats: Some(FIRST_SPLATS), ..Room::UNLIMITED };
-    let model = Walkable::read(&args.model, room)?;
+    let devices = camera_counts(file.parent().unwrap_or(Path::new("")));
+    let model = Walkable::read(&args.model, room)?.with_devices(devices);
     let [splats, _] = model.shown();
     let (stop, stopped) = mpsc::channel();
     ctrlc::set_handler(move || {

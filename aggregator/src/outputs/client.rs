@@ -8,7 +8,7 @@ use cosurf_geo::Georeference;
 use cosurf_scene::Picture;
 
 use crate::report::{Captioned, Client};
-use crate::service::global_ply;
+use crate::service::{camera_counts, global_ply};
 use crate::viewer::{Room, Walkable};
 use crate::views::open_within;
 
@@ -24,7 +24,8 @@ pub(crate) fn client(folder: &Path, memory_bytes: u64, threads: usize) -> Client
     let free = memory_bytes.saturating_sub(usage::resident_bytes());
     // Half of it: the page is held once more while it is written, and the allocator does not return everything.
     let room = Room { memory_bytes: Some(free / 2), file_bytes: Some(MODEL_BYTES_MAX), ..Room::UNLIMITED };
-    let model = Walkable::read(folder, room).map_err(|error| error.to_string());
+    let model = Walkable::read(folder, room).map(|model| model.with_devices(camera_counts(folder)));
+    let model = model.map_err(|error| error.to_string());
     let overview = model.as_ref().ok().and_then(|model| overview(folder, model, memory_bytes, threads));
     // The mission and the survey report a wrong file; here it only means a world without a place.
     let georeference = Georeference::of_folder(folder).ok().flatten();

@@ -257,6 +257,14 @@ impl Merging {
     }
 }
 
+/// The devices whose models the newest revision of the service with this folder was merged from, and the number of each one's
+/// cameras, in the order of the cameras beside the global model. Empty if that is not known.
+pub fn camera_counts(folder: &Path) -> Vec<(String, usize)> {
+    let Some(merging) = Merging::read(folder) else { return Vec::new() };
+    let counted = merging.locals().filter_map(|(input, local)| Some((input.device.clone(), local?.cameras)));
+    counted.collect()
+}
+
 /// BLAKE3 hash of a file.
 pub(crate) fn file_hash(path: &Path) -> Result<String, SceneError> {
     let mut hasher = blake3::Hasher::new();

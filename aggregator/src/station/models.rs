@@ -10,7 +10,7 @@ use tokio::sync::Mutex;
 use tokio::task::spawn_blocking;
 
 use super::board::Board;
-use crate::service::global_store;
+use crate::service::{camera_counts, global_store};
 use crate::viewer::{FIRST_SPLATS, Room, Walkable, WalkableError};
 
 /// What reading a model may take, and how large it may be as SPZ, bytes.
@@ -56,7 +56,11 @@ impl Models {
         if pair.newest.as_ref().is_none_or(|known| known.revision != revision) {
             pair.newest = None;
             let folder = board.folder().to_owned();
-            pair.newest = read(board, revision, move || Walkable::read(&folder, ROOM)).await;
+            pair.newest = read(board, revision, move || {
+                let model = Walkable::read(&folder, ROOM)?;
+                Ok(model.with_devices(camera_counts(&folder)))
+            })
+            .await;
         }
         pair.newest.clone()
     }

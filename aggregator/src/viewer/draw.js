@@ -71,7 +71,8 @@ class Drawing {
     this.sorter?.end();
     this.sorter = new Sorter(model.positions, model.radii);
     this.textures.splice(0).forEach((texture) => this.gl.deleteTexture(texture));
-    [this.degree, this.count, this.range] = [model.degree, 0, [1, 2]];
+    [this.degree, this.count, this.range, this.rows] = [model.degree, 0, [1, 2], Math.max(1, Math.ceil(model.count / SPLATS_PER_ROW))];
+    this.paint = null;
     this.upload(model);
   }
 
@@ -98,6 +99,19 @@ class Drawing {
     gl.vertexAttribIPointer(0, 1, gl.UNSIGNED_INT, 0, 0);
     gl.vertexAttribDivisor(0, 1);
     gl.bindVertexArray(null);
+  }
+
+  /** Draws the splats in these colours from now on, a texel for each splat; in their own colours if there are none. */
+  takePaint(texels) {
+    const gl = this.gl;
+    if (this.paint) gl.deleteTexture(this.paint);
+    this.paint = texels && gl.createTexture();
+    if (!texels) return;
+    gl.activeTexture(gl.TEXTURE4);
+    gl.bindTexture(gl.TEXTURE_2D, this.paint);
+    gl.texParameteri(gl.TEXTURE_2D, gl.TEXTURE_MIN_FILTER, gl.NEAREST);
+    gl.texParameteri(gl.TEXTURE_2D, gl.TEXTURE_MAG_FILTER, gl.NEAREST);
+    gl.texImage2D(gl.TEXTURE_2D, 0, gl.RGBA8, SPLATS_PER_ROW, this.rows, 0, gl.RGBA, gl.UNSIGNED_BYTE, texels);
   }
 
   /** Sorts the splats for a camera. Resolves to false if a newer camera took the place of this one. */
@@ -180,6 +194,8 @@ class Drawing {
     gl.uniform1i(at.u_geometry, 0);
     gl.uniform1i(at.u_harmonics, 1);
     gl.uniform1i(at.u_degree, this.degree);
+    if (at.u_paint) gl.uniform1i(at.u_paint, 4);
+    if (at.u_is_painted) gl.uniform1i(at.u_is_painted, this.paint ? 1 : 0);
     gl.uniformMatrix3fv(at.u_rotation, true, camera.rotation);
     gl.uniform3fv(at.u_translation, camera.translation);
     gl.uniform3fv(at.u_eye, view.eye);

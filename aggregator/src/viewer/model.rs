@@ -29,8 +29,12 @@ struct Scene {
     up: [f64; 3],
     /// Place of the world's origin on the earth; absent if the model is not georeferenced.
     geo: Option<Geodetic>,
+    /// The devices that photographs are known to be of.
+    devices: Vec<String>,
     /// Some of the cameras, in the model's frame.
     cameras: Vec<SceneCamera>,
+    /// Number of all cameras.
+    of_cameras: usize,
     /// Number of splats in the file.
     splats: usize,
     /// Number of splats in the first part; 0 if there is none.
@@ -48,6 +52,9 @@ struct SceneCamera {
     focal_px: [f64; 2],
     center_px: [f64; 2],
     size_px: [u32; 2],
+    /// Its device by the place in [`Scene::devices`]; absent if that is not known.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    device: Option<usize>,
 }
 
 impl SceneCamera {
@@ -60,6 +67,7 @@ impl SceneCamera {
             focal_px: camera.focal_px.to_array(),
             center_px: camera.center_px.to_array(),
             size_px: camera.size_px,
+            device: None,
         }
     }
 }
@@ -150,12 +158,28 @@ impl Walkable {
             unit: frame.unit(),
             up: lie.up.to_array(),
             geo,
+            devices: Vec::new(),
             cameras: cameras.iter().map(SceneCamera::of).collect(),
+            of_cameras: world_cameras.len(),
             splats,
             first_splats,
             of_splats,
         };
         Ok(Self { scene, spz, first, frame, lie })
+    }
+
+    /// Names the devices that took the photographs: for each device, in the order of the cameras beside the model, how many of
+    /// them are its own. Cameras beyond these are of no known device.
+    pub fn with_devices(mut self, devices: Vec<(String, usize)>) -> Self {
+        let of: Vec<usize> =
+            devices.iter().enumerate().flat_map(|(i, (_, count))| std::iter::repeat_n(i, *count)).collect();
+        let (listed, all) = (self.scene.cameras.len(), self.scene.of_cameras);
+        // As `evenly_spaced` has chosen them.
+        for (i, camera) in self.scene.cameras.iter_mut().enumerate() {
+            camera.device = of.get(i * all / listed).copied();
+        }
+        self.scene.devices = devices.into_iter().map(|(name, _)| name).collect();
+        self
     }
 
     /// The scene as JSON.
@@ -255,6 +279,21 @@ mod tests {
         assert!((DVec3::from_array([0, 1, 2].map(row)) - expected).length() < 1e-9, "rows of the rotation");
         let text: serde_json::Value = serde_json::from_str(&walkable.scene_json()).unwrap();
         assert_eq!(text["geo"]["latitude_deg"], 53.3);
+    }
+
+    #[test]
+    fn listed_cameras_keep_their_devices() {
+        let folder = tempfile::tempdir().unwrap();
+        written(folder.path());
+        let cameras: Vec<Camera> = (0..2 * CAMERAS_MAX).map(|i| above(i as f64 / 20.0)).collect();
+        camera_list::write(&folder.path().join("cameras.json"), &cameras).unwrap();
+        let devices = vec![("a".to_owned(), 500), ("b".to_owned(), 300)];
+        let walkable = Walkable::read(folder.path(), Room::UNLIMITED).unwrap().with_devices(devices);
+        let of = |device: Option<usize>| {
+            walkable.scene.cameras.iter().filter(|camera| camera.device == device).count()
+        };
+        assert_eq!([of(Some(0)), of(Some(1)), of(None)], [250, 150, 100]);
+        assert_eq!((walkable.scene.devices.len(), walkable.scene.of_cameras), (2, 2 * CAMERAS_MAX));
     }
 
     #[test]

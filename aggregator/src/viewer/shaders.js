@@ -23,6 +23,8 @@ uniform mat3 u_rotation;
 uniform vec3 u_translation, u_eye;
 uniform vec2 u_focal_px, u_center_px, u_size_px, u_slope_min, u_slope_max;
 uniform int u_degree;
+uniform sampler2D u_paint;
+uniform bool u_is_painted;
 layout(location = 0) in uint a_splat;
 flat out vec2 v_mean_px;
 flat out vec3 v_falloff;
@@ -107,6 +109,7 @@ void main() {
   v_rgb = 0.5 + C0 * color;
   if (u_degree > 0) v_rgb += harmonics(a_splat, normalize(mean - u_eye));
   v_rgb = max(v_rgb, 0.0);
+  if (u_is_painted) v_rgb = texelFetch(u_paint, ivec2(int(a_splat % ${SPLATS_PER_ROW}u), int(a_splat / ${SPLATS_PER_ROW}u)), 0).rgb;
   v_mean_px = mean_px;
   v_falloff = vec3(cov.z, -2.0 * cov.y, cov.x) / det * (0.5 * LOG2_E);
   v_log2_opacity = log2_opacity;

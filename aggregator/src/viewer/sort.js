@@ -50,8 +50,28 @@ function sorter() {
     for (let i = 0; i < count; i++) to[second[(bits[from[i]] >>> shift) & 0xffff]++] = from[i];
   }
 
+  /** For each splat the number of photographs that it is on, and the device of the one that shows it finest, or 255. */
+  function mark(looks) {
+    const [counts, owners] = [new Uint8Array(radii.length), new Uint8Array(radii.length).fill(255)];
+    for (let i = 0; i < radii.length; i++) {
+      const [x, y, z] = [positions[3 * i], positions[3 * i + 1], positions[3 * i + 2]];
+      let finest = Infinity;
+      for (const { rotation: r, translation: t, focal_px: f, center_px: c, size_px: size, device } of looks) {
+        const depth = r[6] * x + r[7] * y + r[8] * z + t[2];
+        if (!(depth > 0)) continue;
+        const right = (f[0] * (r[0] * x + r[1] * y + r[2] * z + t[0])) / depth + c[0];
+        const down = (f[1] * (r[3] * x + r[4] * y + r[5] * z + t[1])) / depth + c[1];
+        if (right < 0 || down < 0 || right > size[0] || down > size[1]) continue;
+        counts[i]++;
+        if (depth / f[0] < finest && device !== undefined) [finest, owners[i]] = [depth / f[0], Math.min(device, 254)];
+      }
+    }
+    self.postMessage({ counts, owners }, [counts.buffer, owners.buffer]);
+  }
+
   self.onmessage = ({ data }) => {
     if (data.positions) return load(data);
+    if (data.looks) return mark(data.looks);
     const count = select(data);
     pass(ids, first, count, 0);
     pass(first, ids, count, 16);
@@ -70,8 +90,8 @@ class Sorter {
     this.worker = new Worker(url);
     URL.revokeObjectURL(url);
     this.worker.postMessage({ positions, radii });
-    this.worker.onmessage = ({ data }) => this.answer(data);
-    [this.asked, this.waiting] = [null, null];
+    this.worker.onmessage = ({ data }) => (data.counts ? this.marked(data) : this.answer(data));
+    [this.asked, this.waiting, this.marked] = [null, null, null];
   }
 
   /** Ends the worker. Questions that are not answered yet are answered as if a newer one had taken their place. */
@@ -89,6 +109,14 @@ class Sorter {
     return new Promise((resolve) => {
       this.waiting = { camera, resolve };
       this.next();
+    });
+  }
+
+  /** Resolves to `{counts, owners}` of the splats for these photographs; see `mark`. At most one question at a time. */
+  marks(looks) {
+    return new Promise((resolve) => {
+      this.marked = resolve;
+      this.worker.postMessage({ looks });
     });
   }
 

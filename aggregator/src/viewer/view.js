@@ -6,6 +6,7 @@
 
 /* global decodeSpz, bytesOfBase64, Drawing, Walk, Comparison, listen, project, unproject, heightsAlong, chartOf */
 /* global describePoint, describeLine, describeArea, describeProfile */
+/* global looksOf, colorsOf, legendOf, CONFIDENCE */
 
 /** A frame that takes longer, ms, makes the picture of a moving camera coarser. */
 const SLOW_MS = 60;
@@ -52,6 +53,8 @@ class Viewer {
       if (target.dataset.does) this.does(target.dataset.does, Number(target.dataset.value));
     });
     section.querySelector('[data-does="photograph"]').hidden = !scene.cameras.length;
+    section.querySelector('[data-value="3"]').hidden = !scene.cameras.length;
+    section.querySelector('[data-value="4"]').hidden = scene.devices.length < 2;
     // Only the page of a running site has revisions.
     section.querySelector('[data-does="compare"]').hidden = !(Number(document.body.dataset.revision) > 1);
     new ResizeObserver(() => this.changed()).observe(this.canvas);
@@ -60,7 +63,41 @@ class Viewer {
   /** Shows another model in place of the one before, with the same camera. */
   takeModel(model) {
     this.drawing.takeModel(model);
+    this.takeLayer(this.layer);
+  }
+
+  /** Shows a layer. Those of the photographs are coloured first, which may take a second. */
+  async takeLayer(layer) {
+    if (this.section.querySelector(`[data-value="${layer}"]`).hidden) return;
+    this.layer = layer;
+    const { drawing, scene } = this;
+    const { sorter } = drawing;
+    if (layer < CONFIDENCE) drawing.takePaint(null);
+    else {
+      const { looks, each } = looksOf(scene);
+      const marks = await sorter.marks(looks);
+      // Another layer or another model may have been taken meanwhile.
+      if (this.layer !== layer || drawing.sorter !== sorter) return;
+      drawing.takePaint(colorsOf(layer, marks, each));
+    }
+    this.explain(layer);
+    this.press();
     this.changed();
+  }
+
+  /** Tells what the colours of a layer mean. */
+  explain(layer) {
+    const entry = ([text, color]) => {
+      const [item, swatch] = ['li', 'span'].map((name) => document.createElement(name));
+      swatch.style.background = `rgb(${color})`;
+      item.append(swatch, text);
+      return item;
+    };
+    const legend = this.section.querySelector('.legend');
+    legend.replaceChildren(...(layer < CONFIDENCE ? [] : legendOf(layer, this.scene).map(entry)));
+    legend.hidden = layer < CONFIDENCE;
+    if (layer === CONFIDENCE) this.tell('On how many photographs each place is; what stands in the way is not considered.');
+    if (layer > CONFIDENCE) this.tell('The device whose photograph shows each place finest; what stands in the way is not considered.');
   }
 
   /** The camera of the page, for a canvas of its size. */
@@ -99,8 +136,9 @@ class Viewer {
   }
 
   show(camera) {
-    this.drawing.draw(camera, this.layer);
-    this.comparison?.show(camera, this.layer);
+    const drawn = this.layer < CONFIDENCE ? this.layer : 0;
+    this.drawing.draw(camera, drawn);
+    this.comparison?.show(camera, drawn);
     const scale = this.canvas.clientWidth / camera.size_px[0];
     const places = this.points.map((point) => project(camera, point)).filter(([, , depth]) => depth > 0);
     const line = places.map(([x, y]) => `${(x * scale).toFixed(1)},${(y * scale).toFixed(1)}`);
@@ -161,7 +199,7 @@ class Viewer {
   /** Does what a button or key asks for. */
   does(name, value) {
     const { walk, scene } = this;
-    if (name === 'layer') this.layer = value;
+    if (name === 'layer') this.takeLayer(value);
     if (name === 'walk') walk.isWalking = !walk.isWalking;
     if (name === 'reset') walk.reset();
     if (name in MEASURES || name === 'clear') {
@@ -198,7 +236,7 @@ class Viewer {
   /** The picture from any camera as a PNG in a `data:` URL, in the camera's size. */
   async picture(camera, layer = 0) {
     while (!(await this.drawing.sort(camera)));
-    this.drawing.draw(camera, layer);
+    this.drawing.draw(camera, layer < CONFIDENCE ? layer : 0);
     return this.canvas.toDataURL('image/png');
   }
 

@@ -1,0 +1,60 @@
+// Colours splats by what the photographs tell of them: on how many photographs each is, and which device's photograph shows
+// it finest. Photographs are taken to see through everything. It knows nothing about WebGL and the page.
+//
+// Start reading at colorsOf. The worker of sort.js counts.
+
+/* exported looksOf, colorsOf, legendOf, CONFIDENCE, OWNER */
+
+/** The numbers of the layers that are coloured here; those before are drawn from the splats. */
+const [CONFIDENCE, OWNER] = [3, 4];
+/** Photographs that are looked at; of more, evenly spaced ones. */
+const LOOKS_MAX = 128;
+/** Fewest photographs of each class of confidence, with its colour: viridis, which is legible to the colour-blind. */
+const CLASSES = [[0, [68, 1, 84]], [2, [59, 82, 139]], [4, [33, 145, 140]], [8, [94, 201, 98]], [16, [253, 231, 37]]];
+/** The owner of a splat that is on no photograph of a known device. */
+const NOBODY = 255;
+const NOBODY_COLOR = [96, 96, 96];
+/** Devices that the legend names. */
+const NAMES_MAX = 24;
+
+/** The photographs that are looked at, and how many each of them stands for. */
+function looksOf({ cameras, of_cameras: all }) {
+  const count = Math.min(cameras.length, LOOKS_MAX);
+  const looks = Array.from({ length: count }, (_, i) => cameras[Math.floor((i * cameras.length) / count)]);
+  return { looks, each: all / count };
+}
+
+/** The colour of a device by its place in the scene's list; the hues are those of aggregator/src/report/svg.rs. */
+function deviceColor(index) {
+  const hue = (212 + 137.508 * index) % 360;
+  const channel = (n) => {
+    const k = (n + hue / 30) % 12;
+    return Math.round(255 * (0.48 - 0.2976 * Math.max(-1, Math.min(k - 3, 9 - k, 1))));
+  };
+  return [channel(0), channel(8), channel(4)];
+}
+
+const classOf = (count) => CLASSES.findLast(([least]) => count >= least);
+
+/** A texel for each splat: red, green, blue. `marks` are those of Sorter.marks. */
+function colorsOf(layer, { counts, owners }, each) {
+  const texels = new Uint8Array(4 * SPLATS_PER_ROW * Math.max(1, Math.ceil(counts.length / SPLATS_PER_ROW)));
+  counts.forEach((count, i) => {
+    const owner = owners[i] === NOBODY ? NOBODY_COLOR : deviceColor(owners[i]);
+    texels.set(layer === OWNER ? owner : classOf(Math.round(count * each))[1], 4 * i);
+  });
+  return texels;
+}
+
+/** What the colours of a layer mean: texts with their colours. */
+function legendOf(layer, { devices }) {
+  if (layer === CONFIDENCE) {
+    return CLASSES.map(([least, color], i) => {
+      const next = CLASSES[i + 1]?.[0];
+      return [next ? `${least} to ${next - 1} photographs` : `${least} or more`, color];
+    });
+  }
+  const named = devices.slice(0, NAMES_MAX).map((name, i) => [name, deviceColor(i)]);
+  const more = devices.length - named.length;
+  return [...named, [more > 0 ? `${more} more devices have colours of their own; grey: no photograph` : 'on no photograph', NOBODY_COLOR]];
+}
