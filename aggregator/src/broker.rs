@@ -46,6 +46,7 @@ mod subscription;
 mod tls;
 mod topics;
 
+use std::collections::BTreeSet;
 use std::io::{self, ErrorKind};
 use std::net::{IpAddr, Ipv4Addr, Ipv6Addr, SocketAddr};
 use std::sync::Arc;
@@ -54,7 +55,7 @@ use std::thread::JoinHandle;
 use std::time::Instant;
 
 use cosurf_link::{BrokerAddress, Login};
-use cosurf_wire::SiteId;
+use cosurf_wire::{DeviceId, SiteId};
 use mio::net::TcpListener;
 use mio::{Interest, Poll, Token, Waker};
 use socket2::{Domain, Socket, Type};
@@ -246,6 +247,13 @@ impl Broker {
     pub fn introducer(&self) -> impl Fn(String) + Send + use<> {
         let commands = self.commands.clone();
         move |id| commands.send(Command::Know(id))
+    }
+
+    /// What tells the broker the users whose connections it must end and refuse, whatever certificate or password they
+    /// show: all of them, each time.
+    pub fn revoker(&self) -> impl Fn(BTreeSet<DeviceId>) + Send + use<> {
+        let commands = self.commands.clone();
+        move |users| commands.send(Command::Revoke(users))
     }
 
     /// Ends all connections and waits until the port is free. The last wills of the clients may not be

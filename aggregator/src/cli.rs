@@ -19,6 +19,8 @@ pub(crate) mod mesh;
 pub(crate) mod mission;
 pub(crate) mod password;
 pub(crate) mod pki;
+pub(crate) mod restore;
+pub(crate) mod revoke;
 pub(crate) mod survey;
 pub(crate) mod tap;
 pub(crate) mod town;

@@ -71,6 +71,10 @@ enum Commands {
         after_help = "Example:\n  cosurf-aggregator replay flight.log --broker mqtt://127.0.0.1:1884 --speed 10"
     )]
     Replay(cli::tap::ReplayArgs),
+    #[command(after_help = "Example:\n  cosurf-aggregator restore 7 --config aggregator.toml")]
+    Restore(cli::restore::RestoreArgs),
+    #[command(after_help = "Example:\n  cosurf-aggregator revoke drone-1 --config aggregator.toml")]
+    Revoke(cli::revoke::RevokeArgs),
     #[command(
         after_help = "Example:\n  cosurf-aggregator run --config aggregator.toml --http 127.0.0.1:8080"
     )]
@@ -147,6 +151,8 @@ fn run_command(cli: Cli) -> Result<()> {
         Commands::Worker(args) => cli::worker::run(&args),
         Commands::Completions(args) => shell::completions::<Cli>(&args),
         Commands::Man(args) => shell::man::<Cli>(&args),
+        Commands::Restore(args) => cli::restore::run(&args),
+        Commands::Revoke(args) => cli::revoke::run(&args),
         Commands::Run(args) => run(&args),
         Commands::Mesh(args) => cli::mesh::run(&args),
         Commands::EvalMesh(args) => cli::eval_mesh::run(&args),

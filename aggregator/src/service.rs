@@ -14,6 +14,9 @@
 //! | `sent/` | the tiles of the newest revision, if it is too large to be sent whole |
 //! | `handed/` | what the agents get of the model of the aggregator above, if there is one: [`above`] |
 //! | `withdrawn/` | a file for each withdrawn device, with the numbers and hashes of its models that no longer count |
+//! | `revisions/` | for each revision in `global/`, what it was merged from: [`restore`] |
+//! | `restore` | the number of the revision that the operator wishes to restore |
+//! | `revoked/` | a file for each revoked device: [`revoked`] |
 //! | `replaced/` | a file for each device that has sent many models, with those that were removed as outdated |
 //! | `upstream/` | models from the aggregator above, if there is one: [`upstream`] |
 //! | `suspects.json`, `reading` | models that a merge was reading when the program died |
@@ -55,6 +58,8 @@ mod rebroadcast;
 mod receive;
 mod record;
 mod reporting;
+mod restore;
+mod revoked;
 mod round;
 mod sent;
 mod serve;
@@ -81,6 +86,8 @@ pub use receive::Service;
 pub use record::{FitRecord, Fitted, KeptOut, Merging, camera_counts, withdraw};
 pub(crate) use record::{file_hash, remove};
 pub use reporting::{ReportError, ReportTask, Reported, Reporter};
+pub use restore::{OldRevision, RestoreError, ask_to_release, ask_to_restore, old_revisions};
+pub use revoked::{readmit, revoke, revoked};
 pub use round::{Expected, Rounds};
 pub use serve::{Host, ServeError, SideEvent, neighbours, serve};
 pub(crate) use station::Station;

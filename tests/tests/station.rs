@@ -127,6 +127,8 @@ fn the_page_follows_a_site_and_finds_it_again() {
     await_page(&browser, "document.querySelectorAll('#map polygon').length === 3", PATIENCE);
     revisions_are_compared(&browser, &site, &program);
     the_operator_acts(&browser, &site);
+    an_older_revision_is_restored(&browser, &site, &program);
+    a_device_is_revoked(&browser, &site, &program);
     everything_is_reached_by_keyboard(&browser);
     assert_eq!(browser.complaints(), [""; 0]);
     drop((program, client));
@@ -155,6 +157,41 @@ fn the_operator_acts(browser: &Chromium, site: &Site) {
     await_page(browser, "document.querySelector('#answer').textContent === 'Done.'", PATIENCE);
     let record = fs::read_to_string(site.folder.path().join("out/actions.jsonl")).unwrap();
     assert!(record.contains("\"action\":\"merge now\"") && record.contains("127.0.0.1"), "{record}");
+}
+
+/// Restores the first of two revisions, which stays until the operator asks for a merge.
+fn an_older_revision_is_restored(browser: &Chromium, site: &Site, program: &Running) {
+    let summary = |text: &str| format!("document.querySelector('#summary').textContent.includes('{text}')");
+    await_page(browser, "document.querySelector('#restore-revision').value === '1'", PATIENCE);
+    browser.run("window.confirm = () => false; document.querySelector('#restore').click()");
+    browser.run("window.confirm = () => true; document.querySelector('#restore').click()");
+    await_log(program, "revision 3 repeats revision 1");
+    await_page(browser, &summary("it repeats revision 1"), PATIENCE);
+    site.upload("drone-1", 3, 2500);
+    await_page(browser, "document.querySelector('#devices').innerText.includes('3')", PATIENCE);
+    browser.run("document.querySelector('#merge').click()");
+    await_log(program, "global model, revision 4");
+    await_page(browser, &format!("!{}", summary("it repeats")), PATIENCE);
+    let record = fs::read_to_string(site.folder.path().join("out/actions.jsonl")).unwrap();
+    assert_eq!(record.matches("\"restore revision 1\",\"outcome\":\"done\"").count(), 1, "{record}");
+}
+
+/// Revokes a device that only tells how far it is. It says so, and is heard no more.
+fn a_device_is_revoked(browser: &Chromium, site: &Site, program: &Running) {
+    tell(&mut site.client(), "drone-2", 5);
+    let has_row = "document.querySelector('#devices').innerText.includes('drone-2')";
+    await_page(browser, has_row, PATIENCE);
+    browser.run(
+        "document.querySelector('#forget-device').value = 'drone-2'; document.querySelector('#revoke').click()",
+    );
+    await_log(program, "drone-2 is revoked");
+    await_page(browser, "document.querySelector('#devices').innerText.includes('revoked')", PATIENCE);
+    tell(&mut site.client(), "drone-2", 400);
+    tell(&mut site.client(), "drone-1", 500);
+    await_page(browser, "document.querySelector('#devices').innerText.includes('500 of 1000')", PATIENCE);
+    assert!(!browser.holds("document.querySelector('#devices').innerText.includes('400 of 1000')"));
+    let revoke = site.folder.path().join("out/revoked/drone-2");
+    assert!(revoke.is_file());
 }
 
 /// Goes through the page with the Tab key.

@@ -17,6 +17,7 @@ use mio::{Events, Poll, Token};
 use rumqttc::v5::mqttbytes::v5::DisconnectReasonCode;
 
 use super::access::{Access, Verifier};
+use super::client::User;
 use super::connection::{Connection, Fault, Stage};
 use super::entrance::Entrance;
 use super::event::{BrokerEvent, Teller};
@@ -38,6 +39,8 @@ pub(super) enum Command {
     Stop,
     /// Remember the client id of a device that the service knows.
     Know(String),
+    /// Refuse the users with these names, and end their connections. Replaces those that were given before.
+    Revoke(BTreeSet<DeviceId>),
     /// A password is verified: the fingerprint, if it was right.
     Verified(usize, DeviceId, Option<blake3::Hash>),
 }
@@ -52,6 +55,8 @@ pub(super) struct Reactor<S> {
     budget: Arc<Budget>,
     clients_max: usize,
     router: Router,
+    /// Users that are refused, whatever certificate or password they show.
+    revoked: BTreeSet<DeviceId>,
     connections: BTreeMap<usize, Connection>,
     last_token: usize,
     /// Connections that may have packets to handle.
@@ -92,6 +97,7 @@ impl<S: Fn(BrokerEvent)> Reactor<S> {
             budget,
             clients_max,
             router,
+            revoked: BTreeSet::new(),
             connections: BTreeMap::new(),
             last_token: FIRST_CONNECTION,
             turns: BTreeSet::new(),
@@ -159,10 +165,26 @@ impl<S: Fn(BrokerEvent)> Reactor<S> {
             match command {
                 Command::Stop => return true,
                 Command::Know(id) => self.router.know(id),
+                Command::Revoke(users) => self.revoke(users, now),
                 Command::Verified(token, user, fingerprint) => self.verified(token, now, user, fingerprint),
             }
         }
         false
+    }
+
+    /// Ends the connections of users that are revoked.
+    fn revoke(&mut self, users: BTreeSet<DeviceId>, now: Instant) {
+        self.revoked = users;
+        let tokens: Vec<usize> = self.connections.keys().copied().collect();
+        for token in tokens {
+            if self.router.client(token).is_some_and(|client| self.is_revoked(client.user())) {
+                self.close(token, now, DisconnectReasonCode::NotAuthorized);
+            }
+        }
+    }
+
+    fn is_revoked(&self, user: &User) -> bool {
+        matches!(user, User::Named(name) if self.revoked.iter().any(|revoked| revoked.as_str() == &**name))
     }
 
     fn write_ready(&mut self, now: Instant) {

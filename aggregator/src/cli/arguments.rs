@@ -7,7 +7,7 @@ use std::sync::mpsc::Sender;
 
 use anyhow::{Result, ensure};
 use clap::Args;
-use cosurf_aggregator::service::{AggregatorConfig, Command, withdraw};
+use cosurf_aggregator::service::{AggregatorConfig, Command, ask_to_restore, revoke, withdraw};
 use cosurf_aggregator::station::{Act, Action, Board, Server, Token, serve_site};
 
 /// The option that names the configuration file of a service.
@@ -73,6 +73,12 @@ impl HttpArgs {
 fn act_on(folder: PathBuf, orders: Sender<Command>) -> Act {
     Arc::new(move |action| match action {
         Action::Forget(device) => withdraw(&folder, device).map_err(|error| error.to_string()),
+        Action::Revoke { device, forget } => {
+            let done = revoke(&folder, device);
+            let done = if *forget { done.and_then(|()| withdraw(&folder, device)) } else { done };
+            done.map_err(|error| error.to_string())
+        }
+        Action::Restore(revision) => ask_to_restore(&folder, *revision).map_err(|error| error.to_string()),
         Action::Merge => orders.send(Command::Merge).map_err(|_| "the service has ended".to_owned()),
     })
 }

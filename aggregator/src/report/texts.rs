@@ -274,6 +274,7 @@ pub(crate) mod tests {
             settings: MergeSettings::default(),
             summary: MergeSummary { joined: 7, splats: 6, steps: 5, ..MergeSummary::default() },
             seconds: 12.0,
+            restored_from: None,
         }
     }
 

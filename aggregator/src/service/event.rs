@@ -75,6 +75,30 @@ pub enum ServiceEvent {
         /// The device.
         device: DeviceId,
     },
+    /// A device is revoked: its messages no longer count.
+    Revoked {
+        /// The device.
+        device: DeviceId,
+    },
+    /// A revoked device may take part again.
+    Readmitted {
+        /// The device.
+        device: DeviceId,
+    },
+    /// The newest revision repeats an older one, as the operator asked. It stays until a merge is asked for.
+    Restored {
+        /// The newest revision.
+        revision: u64,
+        /// The revision that it repeats.
+        from: u64,
+    },
+    /// A revision cannot be restored.
+    NotRestored {
+        /// The revision.
+        revision: u64,
+        /// The reason, one line.
+        reason: String,
+    },
     /// The newest global model was merged from withdrawn models and is removed; the next merge makes a new one.
     GlobalWithdrawn,
     /// The newest global model is safe on the disk, and is offered to the agents.
@@ -185,6 +209,14 @@ impl fmt::Display for ServiceEvent {
                 write!(f, "merging, step {step} of {steps}: PSNR {psnr:.2} dB against the local models")
             }
             Self::Withdrawn { device } => write!(f, "{device} is withdrawn"),
+            Self::Revoked { device } => write!(f, "{device} is revoked: its messages do not count"),
+            Self::Readmitted { device } => write!(f, "{device} is no longer revoked"),
+            Self::Restored { revision, from } => {
+                write!(f, "revision {revision} repeats revision {from}, and stays until a merge is asked for")
+            }
+            Self::NotRestored { revision, reason } => {
+                write!(f, "revision {revision} is not restored: {reason}")
+            }
             Self::GlobalWithdrawn => {
                 write!(f, "the global model is removed: it was merged from withdrawn models")
             }

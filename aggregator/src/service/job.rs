@@ -13,9 +13,9 @@ use cosurf_wire::{ModelHeader, ModelKind};
 use tracing::info_span;
 
 use super::cut::Cut;
-use super::inputs::Inputs;
+use super::inputs::{Input, Inputs};
 use super::pack::packed;
-use super::record::{Fitted, KeptOut, Verdict};
+use super::record::{Fitted, KeptOut, Merging, Verdict};
 use super::trial::Watch;
 use crate::gate::{Workspace, admit, admit_part};
 use crate::merge::{
@@ -42,6 +42,8 @@ pub(super) struct Stores {
 #[derive(Debug)]
 pub(super) struct Job {
     pub(super) inputs: Inputs,
+    /// The record of the older revision that is restored instead of merging the inputs.
+    pub(super) restores: Option<Box<Merging>>,
     stop: Arc<AtomicBool>,
     progress: Receiver<MergeProgress>,
     /// Lines about trouble with tiles.
@@ -327,7 +329,47 @@ impl Job {
                 }
             }
         });
-        Self { inputs, stop, progress, troubles, thread: Some(thread) }
+        Self { inputs, restores: None, stop, progress, troubles, thread: Some(thread) }
+    }
+
+    /// Reads the older revision `key` of `globals` instead of merging. `record` is its own, and `inputs` are the models that
+    /// count now: of a large model, their devices get the tiles with their ground.
+    pub(super) fn restore(
+        globals: ModelStore,
+        key: ModelKey,
+        record: Merging,
+        stores: Stores,
+        inputs: Inputs,
+        work: TileWork,
+        threads: usize,
+    ) -> Self {
+        let stop = Arc::new(AtomicBool::new(false));
+        let ((_, progress), (_, troubles)) = (mpsc::channel(), mpsc::channel());
+        let (mut stored, _) = Stored::of(stores, inputs.clone(), None);
+        let (is_stopped, restored) = (stop.clone(), record.clone());
+        let thread = thread::spawn(move || {
+            let _span = info_span!("restore", revision = %key.model).entered();
+            let is_stopped = || is_stopped.load(Ordering::Relaxed);
+            let (_, body) = globals.get(key)?;
+            let frame = scene_frame(&body)?;
+            stored.frame = frame;
+            let model = body_to_model(&body, &frame)?;
+            let locals = (0..stored.count()).map(|i| Ok((stored.headers[i].device, stored.load(i)?.splats)));
+            let whole_max = work.whole_splats_max;
+            let cut = (model.splats.len() > whole_max)
+                .then(|| Cut::of(&model, &frame, whole_max, locals, threads, &is_stopped));
+            let Merging { kept_out, fitted, fits, summary, .. } = restored;
+            let merged = Merged { model, tiles: Vec::new(), summary };
+            let made = Some(Made { merged, frame, body, cut: cut.transpose()? });
+            Ok(Outcome { made, verdict: Verdict { kept_out, fitted, fits } })
+        });
+        let (restores, thread) = (Some(Box::new(record)), Some(thread));
+        Self { inputs, restores, stop, progress, troubles, thread }
+    }
+
+    /// The models of the result, as `merged.json` records them.
+    pub(super) fn recorded(&self) -> Vec<Input> {
+        self.restores.as_ref().map_or_else(|| self.inputs.recorded(), |record| record.inputs.clone())
     }
 
     /// Returns the state of the merge without waiting. The result comes once, with [`JobState::Done`].
@@ -364,7 +406,7 @@ mod tests {
         let (_, progress) = mpsc::channel();
         let thread = thread::spawn(|| panic!("on purpose"));
         let (stop, thread, (_, troubles)) = (Arc::default(), Some(thread), mpsc::channel());
-        let mut job = Job { inputs: Inputs::default(), stop, progress, troubles, thread };
+        let mut job = Job { inputs: Inputs::default(), restores: None, stop, progress, troubles, thread };
         let outcome = loop {
             match job.poll() {
                 JobState::Unchanged => thread::yield_now(),

@@ -17,11 +17,13 @@ use super::cut::{Cut, WHOLE_SPLATS_MAX};
 use super::error::ServiceError;
 use super::event::ServiceEvent;
 use super::folder::{MADE_FILES, global_ply, global_store, handed_on, sent_tiles, tiles};
-use super::inputs::Inputs;
+use super::inputs::{Input, Inputs};
 use super::job::{Job, JobState, Made, Outcome, TileWork};
 use super::rebroadcast::Rebroadcast;
-use super::record::{Input, KeptOut, Merging, Verdict, file_hash, remove_global};
+use super::record::{KeptOut, Merging, Verdict, file_hash, remove_global};
 use super::reporting::Reporting;
+use super::restore::{self, Wish};
+use super::revoked::revoked;
 use super::round::{Expected, Round};
 use super::sent::{Revision, Sent, TileBytes};
 use super::set_aside::set_aside_files;
@@ -52,6 +54,18 @@ pub(super) enum RunState {
     Stopping,
 }
 
+/// Where a revision comes from.
+struct Origin {
+    /// Number of pictures that it was trained on.
+    views: u32,
+    inputs: Vec<Input>,
+    settings: MergeSettings,
+    /// Duration of its merge.
+    seconds: f64,
+    /// The older revision that it repeats.
+    restored_from: Option<u64>,
+}
+
 /// The state of a service, with the actions that change it.
 #[derive(Debug)]
 pub(super) struct Keeper {
@@ -80,6 +94,8 @@ pub(super) struct Keeper {
     global: Option<ModelHeader>,
     expected: Expected,
     given_up: BTreeSet<DeviceId>,
+    /// Devices whose messages the link ignores.
+    revoked: BTreeSet<DeviceId>,
     merge: MergeSettings,
     threads: usize,
     round: Option<Round>,
@@ -114,6 +130,7 @@ impl Keeper {
         let set_aside = [&globals, sent.store(), handed.store()].map(ModelStore::highest_set_aside);
         let results = Store::in_folder(&tiles(&config.folder)).map_err(MergeError::from)?;
         let (trials, died) = Trials::open(&config.folder)?;
+        let revoked = revoked(&config.folder)?;
         let (merged, revision) = Merging::read(&config.folder)
             .map(|record| (record.inputs, Some(ModelId(record.revision))))
             .unwrap_or_default();
@@ -143,6 +160,7 @@ impl Keeper {
             global: revisions.into_iter().max_by_key(|header| header.model),
             expected: config.expected,
             given_up: BTreeSet::new(),
+            revoked,
             merge: config.merge,
             threads: config.threads,
             round: (!headers.is_empty()).then(|| Round::extend(None, Duration::ZERO)),
@@ -187,6 +205,11 @@ impl Keeper {
     /// The header of the newest revision.
     pub(super) fn global(&self) -> Option<ModelHeader> {
         self.global
+    }
+
+    /// The devices whose messages the link must ignore.
+    pub(super) fn revoked(&self) -> BTreeSet<DeviceId> {
+        self.revoked.clone()
     }
 
     /// Whether a merge is running, or its result is not yet offered to the agents.
@@ -301,7 +324,7 @@ impl Keeper {
         }
         node.stored(key);
         self.round = Some(Round::extend_by(self.round.take(), header.device, now));
-        let in_use = self.job.as_ref().map(|(job, _)| recorded(&job.inputs)).unwrap_or_default();
+        let in_use = self.job.as_ref().map(|(job, _)| job.inputs.recorded()).unwrap_or_default();
         if let Err(error) = self.shelf.remove_replaced(header.device, &in_use) {
             let reason = format!("older models of {} are not removed: {error}", header.device);
             self.told.push_back(ServiceEvent::DiskFailed { reason });
@@ -326,7 +349,7 @@ impl Keeper {
                     self.given_up.insert(device);
                     self.round = Some(Round::extend(self.round.take(), now));
                 }
-                Ok(Command::Merge) => self.round = Some(Round::at_once(self.round.take(), now)),
+                Ok(Command::Merge) => self.merge_at_once(now),
                 Ok(Command::Finish) => {
                     self.begin_when_due(node, now);
                     return RunState::Finishing;
@@ -406,6 +429,7 @@ impl Keeper {
         ServiceEvent::DiskFailed { reason: format!("the global model is not stored: {error}") }
     }
 
+    /// Carries out what the operator has asked for in the folder: withdrawals, revocations, and a restored revision.
     fn withdraw_when_due(
         &mut self,
         node: &mut Node,
@@ -415,6 +439,8 @@ impl Keeper {
             return Ok(None);
         }
         self.withdrawals_at = now + WITHDRAWALS_EVERY;
+        self.revoke_devices(node)?;
+        self.begin_to_restore(now)?;
         let withdrawn = self.shelf.withdraw_devices()?;
         if withdrawn.is_some() {
             self.round = Some(Round::extend(self.round.take(), now));
@@ -424,6 +450,94 @@ impl Keeper {
             self.withdraw_global(node)?;
         }
         Ok(withdrawn.map(|device| ServiceEvent::Withdrawn { device }))
+    }
+
+    /// Lets the link ignore the devices that are revoked now.
+    fn revoke_devices(&mut self, node: &mut Node) -> Result<(), ServiceError> {
+        let now_revoked = revoked(&self.folder)?;
+        if now_revoked == self.revoked {
+            return Ok(());
+        }
+        node.revoke(now_revoked.clone());
+        let before = std::mem::replace(&mut self.revoked, now_revoked);
+        let newly = self.revoked.difference(&before).map(|device| ServiceEvent::Revoked { device: *device });
+        let again =
+            before.difference(&self.revoked).map(|device| ServiceEvent::Readmitted { device: *device });
+        self.told.extend(newly.chain(again));
+        Ok(())
+    }
+
+    /// Begins to restore the revision that the operator wishes. A running merge is stopped.
+    fn begin_to_restore(&mut self, now: Duration) -> Result<(), ServiceError> {
+        let revision = match restore::wish(&self.folder)? {
+            None => return Ok(()),
+            Some(Wish::Restore(revision)) => revision,
+            Some(Wish::Release) => {
+                self.merge_at_once(now);
+                return Ok(restore::end_wish(&self.folder)?);
+            }
+        };
+        let is_running = |(job, _): &(Job, Duration)| {
+            job.restores.as_ref().is_some_and(|record| record.revision == revision)
+        };
+        if self.job.as_ref().is_some_and(is_running) {
+            return Ok(());
+        }
+        match restore::find(&self.folder, revision) {
+            Ok((key, record)) => {
+                let (stores, inputs) = (self.shelf.stores(), self.shelf.inputs());
+                let (globals, work) = (self.globals.clone(), self.work.clone());
+                self.job = None; // waits until the merge has stopped
+                let job = Job::restore(globals, key, record, stores, inputs, work, self.threads);
+                self.job = Some((job, now));
+            }
+            Err(error) => self.refuse_wish(revision, &error)?,
+        }
+        Ok(())
+    }
+
+    fn refuse_wish(&mut self, revision: u64, error: &dyn std::error::Error) -> Result<(), ServiceError> {
+        let reason = error.to_string();
+        self.told.push_back(ServiceEvent::NotRestored { revision, reason });
+        Ok(restore::end_wish(&self.folder)?)
+    }
+
+    /// Whether the newest revision is a restored one that stays: nobody has asked for a merge since, and no device that it
+    /// was merged from was forgotten.
+    fn is_held(&self) -> bool {
+        let Some(record) = Merging::read(&self.folder) else { return false };
+        record.restored_from.is_some()
+            && self.global.is_some_and(|global| global.model.0 == record.revision)
+            && !self.shelf.has_withdrawn(&record.inputs)
+            && !self.is_outnumbered()
+            && !self.lacks_tiles()
+            && MADE_FILES.iter().all(|name| self.folder.join(name).is_file())
+    }
+
+    /// Ends the wait for more models, and lets the merge replace a restored revision.
+    fn merge_at_once(&mut self, now: Duration) {
+        self.let_go();
+        self.round = Some(Round::at_once(self.round.take(), now));
+    }
+
+    /// Lets the next merge replace a restored revision.
+    fn let_go(&mut self) {
+        let record = Merging::read(&self.folder).filter(|record| record.restored_from.is_some());
+        if let Some(record) = record {
+            let free = Merging { restored_from: None, ..record };
+            if let Err(error) = free.write(&self.folder) {
+                let reason = format!("the restored revision stays: {error}");
+                self.told.push_back(ServiceEvent::DiskFailed { reason });
+            }
+        }
+    }
+
+    /// Tells that the newest revision is a restored one, if it is.
+    fn tell_restored(&mut self) {
+        let record = Merging::read(&self.folder);
+        if let Some((from, record)) = record.and_then(|record| Some((record.restored_from?, record))) {
+            self.told.push_back(ServiceEvent::Restored { revision: record.revision, from });
+        }
     }
 
     /// Removes the newest global model and its tiles, because it was merged from withdrawn models. Its revision in
@@ -453,7 +567,7 @@ impl Keeper {
             return;
         }
         if let Some((job, _)) = &self.job {
-            if !self.shelf.has_withdrawn(&recorded(&job.inputs)) {
+            if !self.shelf.has_withdrawn(&job.recorded()) {
                 return;
             }
             self.job = None; // dropping a job waits until its merge has stopped
@@ -467,7 +581,7 @@ impl Keeper {
         if inputs == Inputs::default() {
             return;
         }
-        if self.is_merged(&inputs) {
+        if self.is_held() || self.is_merged(&inputs) {
             self.to_offer = true;
             return;
         }
@@ -487,7 +601,7 @@ impl Keeper {
     /// Whether the newest revision was merged from these models with the current settings.
     fn is_merged(&self, inputs: &Inputs) -> bool {
         let Some(record) = Merging::read(&self.folder) else { return false };
-        record.inputs == recorded(inputs)
+        record.inputs == inputs.recorded()
             && record.settings == self.merge
             && self.global.is_some_and(|global| global.model.0 == record.revision)
             && !self.is_outnumbered()
@@ -512,7 +626,11 @@ impl Keeper {
             JobState::Done(outcome) => outcome,
         };
         let (inputs, seconds) = (std::mem::take(&mut job.inputs), (now - *begun).as_secs_f64());
+        let restores = job.restores.take();
         self.job = None;
+        if let Some(record) = restores {
+            return self.publish_restored(node, now, *outcome, *record);
+        }
         if matches!(*outcome, Err(MergeError::Store(_))) && self.find_lost(node, now, true)? {
             return Ok(None);
         }
@@ -526,8 +644,38 @@ impl Keeper {
             }
             return Ok(Some(ServiceEvent::NothingMerged { kept_out }));
         };
-        let offer = self.keep(made, &inputs, verdict, seconds)?;
-        self.broadcast(node, now, offer, inputs.headers().count(), kept_out).map(Some)
+        let views = inputs.headers().fold(0u32, |views, header| views.saturating_add(header.views));
+        let (inputs, settings) = (inputs.recorded(), self.merge);
+        let count = inputs.len();
+        let origin = Origin { views, inputs, settings, seconds, restored_from: None };
+        let offer = self.keep(made, origin, verdict)?;
+        self.broadcast(node, now, offer, count, kept_out).map(Some)
+    }
+
+    /// Stores a restored revision under a new number, so that devices take it, and offers it to them.
+    fn publish_restored(
+        &mut self,
+        node: &mut Node,
+        now: Duration,
+        outcome: Result<Outcome, MergeError>,
+        record: Merging,
+    ) -> Result<Option<ServiceEvent>, ServiceError> {
+        let from = record.revision;
+        let (made, verdict) = match outcome {
+            Ok(Outcome { made: Some(made), verdict }) => (made, verdict),
+            Ok(_) => return Ok(None),
+            Err(error) => return self.refuse_wish(from, &error).map(|()| None),
+        };
+        let stored = self.globals.keys()?.into_iter().find(|key| key.model.0 == from);
+        let views = stored.and_then(|key| self.globals.get(key).ok()).map_or(0, |(header, _)| header.views);
+        let Merging { inputs, settings, seconds, .. } = record;
+        let (count, kept_out) = (inputs.len(), verdict.kept_out.clone());
+        let origin = Origin { views, inputs, settings, seconds, restored_from: Some(from) };
+        let offer = self.keep(made, origin, verdict)?;
+        restore::end_wish(&self.folder)?;
+        let event = self.broadcast(node, now, offer, count, kept_out)?;
+        self.tell_restored();
+        Ok(Some(event))
     }
 
     /// Removes all but the newest [`REVISIONS_KEPT`] revisions.
@@ -544,12 +692,10 @@ impl Keeper {
     fn keep(
         &mut self,
         Made { merged, frame, body, cut }: Made,
-        inputs: &Inputs,
+        Origin { views, inputs, settings, seconds, restored_from }: Origin,
         Verdict { kept_out, fitted, fits }: Verdict,
-        seconds: f64,
     ) -> Result<Offer, ServiceError> {
         let Merged { model, tiles, summary } = merged;
-        let views = inputs.headers().fold(0u32, |views, header| views.saturating_add(header.views));
         let next = self.next_number();
         let mut offer = Offer::from_body(self.device, next, ModelKind::Global, views, body)?;
         match self.global {
@@ -567,14 +713,27 @@ impl Keeper {
         camera_list::write(&self.folder.join(camera_list::FILE), &cameras)?;
         let hashed = |name: &str| Ok((name.to_owned(), file_hash(&self.folder.join(name))?));
         let files_blake3 = MADE_FILES.into_iter().map(hashed).collect::<Result<_, SceneError>>()?;
-        let (revision, inputs) = (offer.header.model.0, recorded(inputs));
-        let settings = self.merge;
-        Merging { revision, files_blake3, inputs, kept_out, fitted, fits, settings, summary, seconds }
-            .write(&self.folder)?;
+        let revision = offer.header.model.0;
+        let record = Merging {
+            revision,
+            files_blake3,
+            inputs,
+            kept_out,
+            fitted,
+            fits,
+            settings,
+            summary,
+            seconds,
+            restored_from,
+        };
+        record.write(&self.folder)?;
+        restore::keep_record(&self.folder, &record)?;
         if let Some(reporting) = &mut self.reporting {
             reporting.outdate();
         }
-        keep_only(&self.work.results, &tiles)?;
+        if restored_from.is_none() {
+            keep_only(&self.work.results, &tiles)?;
+        }
         match cut {
             Some(Cut { bodies, receivers }) => {
                 let mut listed = self.without_tiles();
@@ -676,7 +835,9 @@ impl Keeper {
         let record = Merging::read(&self.folder);
         let (inputs, kept_out) =
             record.map(|record| (record.inputs.len(), record.kept_out)).unwrap_or_default();
-        self.broadcast(node, now, Offer { header, body }, inputs, kept_out)
+        let event = self.broadcast(node, now, Offer { header, body }, inputs, kept_out)?;
+        self.tell_restored();
+        Ok(event)
     }
 
     /// Offers a global model to all devices, whole or in tiles. An edge offers what came from above if that is newer, or
@@ -730,14 +891,6 @@ impl Keeper {
     /// The devices that sent a complete model and are not given up.
     fn receivers(&self) -> Vec<DeviceId> {
         let senders = self.shelf.newest().into_iter().map(|header| header.device);
-        senders.filter(|device| !self.given_up.contains(device)).collect()
+        senders.filter(|device| !self.given_up.contains(device) && !self.revoked.contains(device)).collect()
     }
-}
-
-/// The inputs as `merged.json` records them.
-fn recorded(inputs: &Inputs) -> Vec<Input> {
-    let (whole, parts) = (inputs.whole.iter().map(Input::whole), inputs.parts.iter().map(Input::part));
-    let mut recorded: Vec<Input> = whole.chain(parts).collect();
-    recorded.sort_by(|one, other| one.device.cmp(&other.device));
-    recorded
 }

@@ -13,6 +13,8 @@ use std::path::Path;
 use cosurf_scene::{SceneError, atomic, files};
 use cosurf_wire::{DeviceId, ModelHeader, ModelId};
 
+use super::inputs::Input;
+
 /// Limit on the models of a list. Beyond it, those with the lowest numbers are left out.
 const MODELS_MAX: usize = 1024;
 /// The line that asks a service to list the models that it has.
@@ -142,6 +144,21 @@ impl ModelList {
             self.models.range((number, String::new())..).take_while(|(other, _)| *other == number);
         of_number.into_iter().any(|(_, hash)| is_it(hash))
     }
+}
+
+/// Whether models of these lists are among the inputs of a merge.
+pub(super) fn any_listed(lists: &BTreeMap<DeviceId, ModelList>, inputs: &[Input]) -> bool {
+    let is_listed = |input: &Input| {
+        let listed = lists.iter().find(|(device, _)| device.as_str() == input.device);
+        let number = ModelId(input.model);
+        // The models of a list that asks are not in it yet.
+        listed.is_some_and(|(_, listed)| match input.part_splats {
+            _ if listed.asks => true,
+            None => listed.has(number, &input.blake3),
+            Some(_) => listed.has_part(number),
+        })
+    };
+    inputs.iter().any(is_listed)
 }
 
 #[cfg(test)]

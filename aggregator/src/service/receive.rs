@@ -32,7 +32,8 @@ impl Service {
     pub fn open(config: ServiceConfig) -> Result<Self, ServiceError> {
         let (identity, limits) = (config.identity, config.limits);
         let (keeper, known) = Keeper::open(config)?;
-        let service = Self { node: Node::new(identity, limits, &known), keeper };
+        let mut service = Self { node: Node::new(identity, limits, &known), keeper };
+        service.node.revoke(service.keeper.revoked());
         Ok(service.with_plan(BTreeMap::new()))
     }
 

@@ -11,6 +11,7 @@ use cosurf_wire::{DeviceId, ModelHeader};
 use serde::{Deserialize, Serialize};
 
 use super::folder::{MADE_FILES, REPORT_FILES};
+use super::inputs::Input;
 use super::model_list::ModelList;
 use crate::gate::{Admitted, Fit, Place, Similarity, Tone};
 use crate::merge::{LocalSummary, Locals, MergeSettings, MergeSummary};
@@ -44,20 +45,10 @@ pub struct Merging {
     pub summary: MergeSummary,
     /// Duration of the merge, seconds.
     pub seconds: f64,
-}
-
-/// A model that the service gave to a merge.
-#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
-pub struct Input {
-    /// The device that sent the model.
-    pub device: String,
-    /// Number of the model.
-    pub model: u64,
-    /// BLAKE3 hash of the model's body.
-    pub blake3: String,
-    /// Number of splats that had arrived, if the model had arrived only in part.
+    /// The older revision that the operator has put in the place of the newest one; absent if the revision was merged. It
+    /// stays until the operator asks for a merge.
     #[serde(default, skip_serializing_if = "Option::is_none")]
-    pub part_splats: Option<u32>,
+    pub restored_from: Option<u64>,
 }
 
 /// A model that was kept out of a merge, and why.
@@ -214,17 +205,6 @@ impl fmt::Display for Fitted {
         });
         let told: Vec<String> = [moved, tone, weight, size, void, unverified].into_iter().flatten().collect();
         write!(f, "{}: {}", self.device, told.join(", "))
-    }
-}
-
-impl Input {
-    pub(super) fn whole(header: &ModelHeader) -> Self {
-        let (device, blake3) = (header.device.to_string(), header.blake3.to_string());
-        Self { device, model: header.model.0, blake3, part_splats: None }
-    }
-
-    pub(super) fn part(header: &ModelHeader) -> Self {
-        Self { part_splats: Some(header.splats), ..Self::whole(header) }
     }
 }
 

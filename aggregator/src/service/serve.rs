@@ -27,6 +27,7 @@ use super::event::ServiceEvent;
 use super::folder::senders;
 use super::receive::Service;
 use super::reporting::{ReportTask, Reporter};
+use super::revoked::revoked;
 use super::round::{Expected, Rounds};
 use super::site_plan::read_plan;
 use super::statuses::DeviceStatus;
@@ -114,6 +115,7 @@ pub fn serve(
     let _gateways = start_gateways(config.site, &reach, lines, &say_beside);
     let identity = open_session(config, host.clock_s)?;
     let introduce = embedded.as_ref().map(|broker| introducer(config, broker)).transpose()?;
+    let shut_out = embedded.as_ref().map(Broker::revoker);
     let key = credentials.key.clone();
     let mut service =
         Service::open(service_config(config, identity, host.threads))?.with(credentials.clone());
@@ -136,11 +138,18 @@ pub fn serve(
         service = service.below(above, Duration::from_secs(config.deadline_s));
         upstream = Some(started);
     }
+    if let Some(shut_out) = &shut_out {
+        shut_out(revoked(&config.out)?);
+    }
     let mut connections = Connections { upstream, was_connected: false, failure: None };
     service.run(&mut transport, now, commands, |event| {
         say(&event);
         if let (ServiceEvent::Stored { header }, Some(introduce)) = (&event, &introduce) {
             introduce(header.device);
+        }
+        let is_revocation = matches!(event, ServiceEvent::Revoked { .. } | ServiceEvent::Readmitted { .. });
+        if let (true, Some(shut_out), Ok(devices)) = (is_revocation, &shut_out, revoked(&config.out)) {
+            shut_out(devices);
         }
         connections.follow(event)
     });

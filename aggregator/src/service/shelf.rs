@@ -10,11 +10,11 @@ use cosurf_wire::{BodyHash, DeviceId, ModelHeader, ModelId};
 use super::error::ServiceError;
 use super::event::ServiceEvent;
 use super::flights::Flights;
-use super::inputs::Inputs;
+use super::inputs::{Input, Inputs};
 use super::job::Stores;
-use super::model_list::ModelList;
+use super::model_list::{ModelList, any_listed};
 use super::parts::Parts;
-use super::record::{Input, WITHDRAWN};
+use super::record::WITHDRAWN;
 
 /// Models of a device that are kept. Older ones are removed, since only the newest is merged.
 const KEPT_OF_DEVICE: usize = 4;
@@ -145,15 +145,7 @@ impl Shelf {
 
     /// Whether withdrawn models are among the inputs of a merge.
     pub(super) fn has_withdrawn(&self, inputs: &[Input]) -> bool {
-        let is_withdrawn = |input: &Input| {
-            let listed = self.withdrawn.iter().find(|(device, _)| device.as_str() == input.device);
-            let number = ModelId(input.model);
-            listed.is_some_and(|(_, listed)| match input.part_splats {
-                None => listed.has(number, &input.blake3),
-                Some(_) => listed.has_part(number),
-            })
-        };
-        inputs.iter().any(is_withdrawn)
+        any_listed(&self.withdrawn, inputs)
     }
 
     /// Whether devices are withdrawn and nothing is left to merge.

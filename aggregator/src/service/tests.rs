@@ -14,6 +14,7 @@ mod lost;
 mod parts;
 mod plan;
 mod reports;
+mod restoring;
 mod tiles;
 mod withdrawal;
 mod workers;

@@ -13,8 +13,8 @@ use cosurf_wire::ModelHeader;
 use serde::{Deserialize, Serialize};
 
 use super::event::ServiceEvent;
+use super::inputs::Input;
 use super::inputs::Inputs;
-use super::record::Input;
 
 /// File of the models that merges died with, in the folder of a service.
 pub(super) const SUSPECTS: &str = "suspects.json";

@@ -10,6 +10,15 @@ use cosurf_wire::DeviceId;
 pub enum Action {
     /// Withdraw all models that a device has sent so far.
     Forget(DeviceId),
+    /// Refuse a device from now on.
+    Revoke {
+        /// The device.
+        device: DeviceId,
+        /// Whether to withdraw its models as well.
+        forget: bool,
+    },
+    /// Make an older revision the newest one.
+    Restore(u64),
     /// Merge the models that have arrived, without waiting for others.
     Merge,
 }
@@ -21,6 +30,9 @@ impl fmt::Display for Action {
     fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
         match self {
             Self::Forget(device) => write!(f, "forget {device}"),
+            Self::Revoke { device, forget: false } => write!(f, "revoke {device}"),
+            Self::Revoke { device, forget: true } => write!(f, "revoke and forget {device}"),
+            Self::Restore(revision) => write!(f, "restore revision {revision}"),
             Self::Merge => write!(f, "merge now"),
         }
     }

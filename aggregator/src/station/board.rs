@@ -17,7 +17,7 @@ use tokio::sync::watch;
 
 use super::state::{DeviceState, Line, Revision, State};
 use crate::merge::MergeProgress;
-use crate::service::{DeviceStatus, KeptOut, Merging, ServiceEvent};
+use crate::service::{DeviceStatus, KeptOut, Merging, ServiceEvent, revoked};
 
 /// Largest number of devices; further ones have no row.
 const DEVICES_MAX: usize = 1024;
@@ -68,6 +68,7 @@ struct Device {
     model: Option<u64>,
     uploads: u64,
     kept_out: Option<String>,
+    is_revoked: bool,
     /// The number of its newest change.
     changed: u64,
 }
@@ -87,8 +88,12 @@ impl Board {
                 revision: merging.revision,
                 splats: merging.summary.splats,
                 models: merging.inputs.len() - merging.kept_out.len(),
+                restored_from: merging.restored_from,
                 is_reported: folder.join("report.html").is_file(),
             });
+        }
+        for device in revoked(folder).unwrap_or_default() {
+            notes.revoke(device, true);
         }
         let state = Mutex::new(notes);
         let (changes, _) = watch::channel(1);
@@ -122,6 +127,9 @@ impl Board {
     fn note_status_of(&self, device: DeviceId, status: AgentStatus, age_s: f64) {
         self.change(|notes, now_s| {
             let Some(known) = notes.device(device, TOLD_DEVICES_MAX) else { return };
+            if known.is_revoked {
+                return;
+            }
             if let (AgentPhase::Training, Some(psnr)) = (status.phase, status.psnr) {
                 known.curve.push(status.step, psnr);
             }
@@ -211,6 +219,7 @@ impl Device {
             curve: spaced.map(|point| point.map(short)).collect(),
             model: self.model,
             uploads: self.uploads,
+            is_revoked: self.is_revoked,
             kept_out: self.kept_out.clone(),
         }
     }
@@ -241,7 +250,8 @@ impl Notes {
                 self.keep_out(kept_out);
                 let (revision, splats) = (header.model.0, header.splats as usize);
                 let models = *models;
-                self.revision = Some(Revision { revision, splats, models, is_reported: false });
+                self.revision =
+                    Some(Revision { revision, splats, models, restored_from: None, is_reported: false });
             }
             ServiceEvent::NothingMerged { kept_out } => self.keep_out(kept_out),
             ServiceEvent::Reported { revision, .. } => {
@@ -253,8 +263,20 @@ impl Notes {
                     (its.model, its.kept_out, its.changed) = (None, None, self.change);
                 }
             }
+            ServiceEvent::Revoked { device } => self.revoke(*device, true),
+            ServiceEvent::Readmitted { device } => self.revoke(*device, false),
+            ServiceEvent::Restored { revision, from } => {
+                let newest = self.revision.as_mut().filter(|newest| newest.revision == *revision);
+                newest.into_iter().for_each(|newest| newest.restored_from = Some(*from));
+            }
             ServiceEvent::GlobalWithdrawn => self.revision = None,
             _ => {}
+        }
+    }
+
+    fn revoke(&mut self, device: DeviceId, is_revoked: bool) {
+        if let Some(its) = self.device(device, DEVICES_MAX) {
+            its.is_revoked = is_revoked;
         }
     }
 

@@ -16,6 +16,7 @@ use axum::{Extension, Router};
 use cosurf_wire::DeviceId;
 use futures_util::Stream;
 use futures_util::stream::unfold;
+use serde::de::DeserializeOwned;
 use serde::{Deserialize, Serialize};
 use tokio::sync::{OwnedSemaphorePermit, Semaphore, watch};
 use tokio::task::spawn_blocking;
@@ -29,6 +30,7 @@ use super::metrics::{self, metrics};
 use super::models::{Models, Served};
 use super::pages::{html, live_page, spz_file, typed};
 use super::site_map::Atlas;
+use crate::service::old_revisions;
 
 /// Largest number of readers of events.
 const READERS_MAX: usize = 64;
@@ -74,7 +76,12 @@ impl Live {
             .route("/before/scene.json", get(async |State(live): State<Live>| scene(live.before().await)))
             .route("/before/model.spz", get(async |State(live): State<Live>| spz(live.before().await)));
         let routes = match self.act {
-            Some(_) => routes.route("/api/forget", post(forget)).route("/api/merge", post(merge)),
+            Some(_) => routes
+                .route("/api/forget", post(forget))
+                .route("/api/revoke", post(revoke))
+                .route("/api/restore", post(restore))
+                .route("/api/revisions", get(revisions))
+                .route("/api/merge", post(merge)),
             None => routes,
         };
         routes.with_state(self)
@@ -86,6 +93,21 @@ impl Live {
 
     async fn before(&self) -> Option<Served> {
         self.models.before(&self.board).await
+    }
+
+    /// Does the action that a request's body describes. `usage` tells how to describe one.
+    async fn act_on<T: DeserializeOwned>(
+        self,
+        request: Request,
+        by: Peer,
+        action: impl FnOnce(T) -> Option<Action>,
+        usage: &'static str,
+    ) -> Response {
+        let Some(body) = body_of(request).await else { return StatusCode::PAYLOAD_TOO_LARGE.into_response() };
+        match serde_json::from_slice(&body).ok().and_then(action) {
+            Some(action) => self.act(action, by.0).await,
+            None => (StatusCode::BAD_REQUEST, usage).into_response(),
+        }
     }
 
     /// Does an action, and records it. An action that cannot be recorded is not done.
@@ -194,13 +216,46 @@ struct ForgetRequest {
     device: String,
 }
 
+/// The body of a request to revoke a device.
+#[derive(Deserialize)]
+#[serde(deny_unknown_fields)]
+struct RevokeRequest {
+    device: String,
+    /// Whether to withdraw its models as well.
+    forget: bool,
+}
+
+/// The body of a request to restore a revision.
+#[derive(Deserialize)]
+#[serde(deny_unknown_fields)]
+struct RestoreRequest {
+    revision: u64,
+}
+
 async fn forget(State(live): State<Live>, Extension(by): Extension<Peer>, request: Request) -> Response {
-    let Some(body) = body_of(request).await else { return StatusCode::PAYLOAD_TOO_LARGE.into_response() };
-    let asked = serde_json::from_slice::<ForgetRequest>(&body).ok();
-    match asked.and_then(|asked| DeviceId::new(&asked.device).ok()) {
-        Some(device) => live.act(Action::Forget(device), by.0).await,
-        None => (StatusCode::BAD_REQUEST, "send {\"device\": \"NAME\"}\n").into_response(),
-    }
+    let action = |asked: ForgetRequest| Some(Action::Forget(DeviceId::new(&asked.device).ok()?));
+    live.act_on(request, by, action, "send {\"device\": \"NAME\"}\n").await
+}
+
+async fn revoke(State(live): State<Live>, Extension(by): Extension<Peer>, request: Request) -> Response {
+    let action = |RevokeRequest { device, forget }| {
+        Some(Action::Revoke { device: DeviceId::new(&device).ok()?, forget })
+    };
+    live.act_on(request, by, action, "send {\"device\": \"NAME\", \"forget\": false}\n").await
+}
+
+async fn restore(State(live): State<Live>, Extension(by): Extension<Peer>, request: Request) -> Response {
+    let action = |asked: RestoreRequest| Some(Action::Restore(asked.revision));
+    live.act_on(request, by, action, "send {\"revision\": NUMBER}\n").await
+}
+
+/// The revisions that can be restored.
+async fn revisions(State(live): State<Live>) -> Response {
+    let work = move || match old_revisions(live.board.folder()) {
+        Ok(revisions) => json(&revisions),
+        Err(error) => (StatusCode::INTERNAL_SERVER_ERROR, format!("{error}\n")).into_response(),
+    };
+    spawn_blocking(work).await.unwrap_or(StatusCode::INTERNAL_SERVER_ERROR.into_response())
 }
 
 async fn merge(State(live): State<Live>, Extension(by): Extension<Peer>) -> Response {

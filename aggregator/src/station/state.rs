@@ -41,6 +41,8 @@ pub(super) struct DeviceState {
     pub(super) model: Option<u64>,
     /// Number of models that have arrived since the program began.
     pub(super) uploads: u64,
+    /// True if the operator has revoked it.
+    pub(super) is_revoked: bool,
     /// Why its model is kept out of the newest revision; absent if it is not.
     pub(super) kept_out: Option<String>,
 }
@@ -54,6 +56,8 @@ pub(super) struct Revision {
     pub(super) splats: usize,
     /// Number of local models that were merged.
     pub(super) models: usize,
+    /// The older revision that it repeats, because the operator has restored that; absent if it was merged.
+    pub(super) restored_from: Option<u64>,
     /// True once its report is in the folder.
     pub(super) is_reported: bool,
 }

@@ -80,13 +80,22 @@ fn only_the_operator_acts_and_every_action_is_logged() {
     assert_eq!(site.post("/api/forget", &[&bearer], body), 204);
     assert_eq!(site.post("/api/merge", &[&bearer], ""), 204);
     let forget = Action::Forget(DeviceId::new("drone-1").unwrap());
-    assert_eq!(*site.done.lock().unwrap(), [forget, Action::Merge]);
+    let revoke = r#"{"device": "drone-2", "forget": true}"#;
+    for (path, body) in [("/api/revoke", revoke), ("/api/restore", r#"{"revision": 3}"#)] {
+        assert_eq!(site.post(path, &[], body), 401, "{path}");
+        assert_eq!(site.post(path, &[&bearer], "{}"), 400, "{path}");
+        assert_eq!(site.post(path, &[&bearer], body), 204, "{path}");
+    }
+    let revoke = Action::Revoke { device: DeviceId::new("drone-2").unwrap(), forget: true };
+    assert_eq!(*site.done.lock().unwrap(), [forget, Action::Merge, revoke, Action::Restore(3)]);
     assert!(site.get("/api/state").contains("the operator at 127.0.0.1 asks to forget drone-1: done"));
     let record = std::fs::read_to_string(site.folder.path().join("actions.jsonl")).unwrap();
     for part in [
         "\"by\":\"127.0.0.1\"",
         "\"action\":\"forget drone-1\"",
         "\"action\":\"merge now\"",
+        "\"action\":\"revoke and forget drone-2\"",
+        "\"action\":\"restore revision 3\"",
         "\"outcome\":\"done\"",
     ] {
         assert!(record.contains(part), "{part}: {record}");

@@ -59,6 +59,21 @@ fn attack_24_only_users_with_their_password_get_in() {
 }
 
 #[test]
+fn a_revoked_user_loses_its_connection_and_gets_no_other() {
+    let folder = tempfile::tempdir().unwrap();
+    let broker = guarded(folder.path());
+    let (mut drone, code) = Raw::hello(broker.address(), &login("drone", "enord"));
+    assert_eq!(code, 0);
+    let shut_out = broker.revoker();
+    shut_out([DeviceId::new("drone").unwrap()].into());
+    assert_eq!(drone.farewell(), NOT_AUTHORIZED);
+    assert_eq!(Raw::hello(broker.address(), &login("drone", "enord")).1, NOT_AUTHORIZED);
+    assert_eq!(Raw::hello(broker.address(), &login("other", "rehto")).1, 0, "others are not concerned");
+    shut_out([].into());
+    assert_eq!(Raw::hello(broker.address(), &login("drone", "enord")).1, 0, "let in again");
+}
+
+#[test]
 fn attack_14_a_user_neither_takes_over_nor_writes_as_another() {
     let folder = tempfile::tempdir().unwrap();
     let broker = guarded(folder.path());

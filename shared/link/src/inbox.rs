@@ -6,13 +6,14 @@
 
 mod room;
 
-use std::collections::{BTreeMap, VecDeque};
+use std::collections::{BTreeMap, BTreeSet, VecDeque};
 use std::sync::Arc;
 use std::time::Duration;
 
 use cosurf_scene::LocalFrame;
 use cosurf_wire::{
-    BodyHash, Chunk, Done, Message, ModelHeader, ModelId, ModelKind, RefusalReason, Refused, Reply, Topic,
+    BodyHash, Chunk, DeviceId, Done, Message, ModelHeader, ModelId, ModelKind, RefusalReason, Refused, Reply,
+    Topic,
 };
 
 use crate::body::Model;
@@ -164,6 +165,13 @@ impl Inbox {
             !key.model.is_tile()
                 || transfer.phase == TransferPhase::Storing
                 || expected.get(key) == Some(&transfer.header.blake3)
+        });
+    }
+
+    /// Drops what has arrived of unfinished uploads of these devices, except a model that the caller is storing.
+    pub(crate) fn drop_uploads_of(&mut self, devices: &BTreeSet<DeviceId>) {
+        self.transfers.retain(|key, transfer| {
+            !devices.contains(&key.device) || transfer.phase == TransferPhase::Storing
         });
     }
 

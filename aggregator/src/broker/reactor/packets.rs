@@ -110,6 +110,9 @@ impl<S: Fn(BrokerEvent)> Reactor<S> {
     /// Connects a client that may connect, if there is a place for it.
     fn welcome(&mut self, token: usize, now: Instant, hello: Hello, user: User) {
         let version = hello.version;
+        if self.is_revoked(&user) {
+            return self.refuse(token, now, Some(version), ConnectReturnCode::NotAuthorized);
+        }
         let keep_alive_s = hello.connect.keep_alive;
         let client = match name(&hello, user, token) {
             Ok(client) => client,

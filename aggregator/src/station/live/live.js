@@ -19,6 +19,8 @@ const devices = new Map();
 const shownRevision = Number(document.body.dataset.revision) || null;
 let heardAt = Date.now();
 let mapOf = '';
+/** The newest revision when the older ones were listed. */
+let revisionsOf = null;
 let events;
 
 /** Opens the stream of events. A browser reconnects by itself, unless the server refuses. */
@@ -57,12 +59,14 @@ function show(state) {
   }
   const parts = [state.is_connected ? 'connected to the broker' : 'not connected to the broker'];
   parts.push(revision ? `revision ${revision.revision}: ${counted(revision.splats, 'splat')} of ${counted(revision.models, 'model')}` : 'no global model yet');
+  if (revision?.restored_from) parts.push(`it repeats revision ${revision.restored_from} until you merge`);
   if (merge) parts.push(`merging, step ${merge.step} of ${merge.steps}`);
   at('summary').textContent = parts.join(' · ');
   rows.show(devices);
   write(log);
   offer(revision);
-  choose();
+  choose(at('forget-device'), [...devices.keys()].sort());
+  listRevisions(revision);
   drawMap();
 }
 
@@ -83,14 +87,23 @@ function offer(revision) {
   at('newer').textContent = `Show revision ${revision.revision}`;
 }
 
-/** Lists the devices that can be forgotten, without losing the choice. */
-function choose() {
-  const list = at('forget-device');
-  const names = [...devices.keys()].sort();
+/** Lists choices, without losing the chosen one. */
+function choose(list, names) {
   if (list.children.length === names.length && names.every((name, i) => list.children[i].value === name)) return;
   const chosen = list.value;
   list.replaceChildren(...names.map((name) => element('option', name)));
-  if (devices.has(chosen)) list.value = chosen;
+  if (names.includes(chosen)) list.value = chosen;
+}
+
+/** Lists the revisions that can be restored once there is another newest one. */
+async function listRevisions(revision) {
+  const newest = revision?.revision ?? 0;
+  if (at('actions').hidden || newest === revisionsOf) return;
+  revisionsOf = newest;
+  const answer = await fetch('/api/revisions').catch(() => null);
+  if (!answer?.ok) return (revisionsOf = null);
+  choose(at('restore-revision'), (await answer.json()).map(({ revision: number }) => String(number)));
+  at('restore').disabled = !at('restore-revision').value;
 }
 
 /** Draws the map again once other models have arrived. */
@@ -117,6 +130,15 @@ at('merge').addEventListener('click', () => ask('/api/merge'));
 at('forget').addEventListener('click', () => {
   const device = at('forget-device').value;
   if (device && confirm(`Withdraw all models that ${device} has sent so far?`)) ask('/api/forget', { device });
+});
+at('revoke').addEventListener('click', () => {
+  const [device, forget] = [at('forget-device').value, at('revoke-forget').checked];
+  const more = forget ? ' Its models are withdrawn as well.' : '';
+  if (device && confirm(`Refuse everything that ${device} sends from now on? Only the command revoke --undo lets it take part again.${more}`)) ask('/api/revoke', { device, forget });
+});
+at('restore').addEventListener('click', () => {
+  const revision = Number(at('restore-revision').value);
+  if (revision && confirm(`Make revision ${revision} the newest one? It stays until you merge; models that arrive until then are stored.`)) ask('/api/restore', { revision });
 });
 setInterval(() => {
   rows.tick(devices);

@@ -84,12 +84,12 @@ class Rows {
   }
 
   fill({ row, cells, dot }, device, index) {
-    const { status, curve: points, model, kept_out: keptOut } = device;
+    const { status, curve: points, model, kept_out: keptOut, is_revoked: isRevoked } = device;
     dot.style.background = colorOf(index);
     row.className = isAlive(device) ? '' : 'silent';
     this.age({ cells }, device);
     cells.model.textContent = model ?? '–';
-    cells.remarks.textContent = [keptOut && `kept out: ${keptOut}`, status?.problem].filter(Boolean).join('; ');
+    cells.remarks.textContent = [isRevoked && 'revoked', keptOut && `kept out: ${keptOut}`, status?.problem].filter(Boolean).join('; ');
     cells.remarks.className = cells.remarks.textContent ? 'remarks warn' : 'remarks';
     if (!status) return;
     cells.phase.textContent = status.phase;

@@ -57,6 +57,9 @@ impl Node {
         if payload.is_empty() || self.is_own(&topic) {
             return Ok(());
         }
+        if let Some(device) = source_of(&topic).filter(|device| self.revoked.contains(device)) {
+            return Err(format!("{device} is revoked"));
+        }
         let sealed = match Sealed::decode(payload) {
             Ok(sealed) => sealed,
             Err(WireError::UnknownVersion(version)) => {

@@ -1,6 +1,6 @@
 //! The state of a node, and the calls that change it.
 
-use std::collections::{BTreeMap, VecDeque};
+use std::collections::{BTreeMap, BTreeSet, VecDeque};
 use std::time::Duration;
 
 use cosurf_scene::{Camera, LocalFrame};
@@ -68,6 +68,8 @@ pub struct Node {
     /// Number of messages that no listed key had signed.
     pub(super) forged: u64,
     pub(super) is_connected: bool,
+    /// Devices whose messages are ignored, whoever has signed them.
+    pub(super) revoked: BTreeSet<DeviceId>,
     pub(super) log: Log,
     pub(super) now: Duration,
 }
@@ -99,6 +101,7 @@ impl Node {
             guard: Guard::default(),
             forged: 0,
             is_connected: false,
+            revoked: BTreeSet::new(),
             log: Log::default(),
             now: Duration::ZERO,
         }
@@ -109,6 +112,13 @@ impl Node {
     /// listed key has signed. It answers other messages with silence.
     pub fn set_credentials(&mut self, credentials: Credentials) {
         self.inbox.set_credentials(credentials);
+    }
+
+    /// Ignores all messages of these devices from now on, whoever has signed them, and drops what has arrived of their
+    /// uploads. Replaces the devices that were given before.
+    pub fn revoke(&mut self, devices: BTreeSet<DeviceId>) {
+        self.inbox.drop_uploads_of(&devices);
+        self.revoked = devices;
     }
 
     /// Sets the limit on devices: the sessions of so many are remembered, and the requests of so many for a global

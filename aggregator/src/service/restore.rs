@@ -1,0 +1,173 @@
+//! Older revisions of the global model: what each was merged from, and the operator's wish to make one of them the newest
+//! again.
+//!
+//! A restored revision stays until the operator asks for a merge, or a device that it was merged from is forgotten. Models
+//! that arrive until then are stored.
+//!
+//! What it knows nothing about: how a revision is read and sent.
+
+use std::fs;
+use std::io::{self, ErrorKind};
+use std::path::{Path, PathBuf};
+
+use cosurf_link::{ModelKey, ModelStore, StoreError};
+use cosurf_scene::{SceneError, atomic, files};
+use serde::Serialize;
+
+use super::error::ServiceError;
+use super::folder::global_store;
+use super::model_list::{ModelList, any_listed};
+use super::record::{Merging, WITHDRAWN, remove};
+
+/// The file with the number of the revision that is wished, or with [`RELEASE`], inside the folder of the service.
+const WISH: &str = "restore";
+/// The folder with the record of each revision that is kept, inside the folder of the service.
+const RECORDS: &str = "revisions";
+
+/// In the place of a number: the restored revision must not stay.
+const RELEASE: &str = "release";
+
+/// What the operator wishes.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub(super) enum Wish {
+    /// Make this revision the newest one.
+    Restore(u64),
+    /// Let a merge replace the restored revision.
+    Release,
+}
+
+/// A revision that can be restored.
+#[derive(Clone, Debug, PartialEq, Eq, Serialize)]
+pub struct OldRevision {
+    /// Its number.
+    pub revision: u64,
+    /// Number of splats.
+    pub splats: usize,
+    /// Number of local models that were merged.
+    pub models: usize,
+    /// The revision that it repeats; absent if it was merged.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub restored_from: Option<u64>,
+}
+
+/// Why a revision is not restored.
+#[derive(Debug, thiserror::Error)]
+#[non_exhaustive]
+pub enum RestoreError {
+    /// The service does not keep the revision, or not what it was merged from.
+    #[error("revision {0} is not kept; those that can be restored: {1}")]
+    NotKept(u64, String),
+    /// It is the newest one.
+    #[error("revision {0} is the newest one already")]
+    Newest(u64),
+    /// A device whose models it was merged from has been forgotten since.
+    #[error("revision {0} was merged from models of a device that was forgotten since")]
+    Withdrawn(u64),
+    /// A file cannot be read or written.
+    #[error(transparent)]
+    File(#[from] SceneError),
+    /// The stored revisions cannot be listed.
+    #[error(transparent)]
+    Store(#[from] StoreError),
+}
+
+/// The revisions that the service with this folder can restore, newest first.
+pub fn old_revisions(folder: &Path) -> Result<Vec<OldRevision>, RestoreError> {
+    let mut numbers: Vec<u64> = stored(folder)?.into_iter().map(|key| key.model.0).collect();
+    numbers.sort_unstable_by_key(|number| std::cmp::Reverse(*number));
+    let can_be_restored = |number: &u64| check(folder, *number).ok();
+    let old = |record: Merging| OldRevision {
+        revision: record.revision,
+        splats: record.summary.splats,
+        models: record.inputs.len().saturating_sub(record.kept_out.len()),
+        restored_from: record.restored_from,
+    };
+    Ok(numbers.iter().filter_map(can_be_restored).map(old).collect())
+}
+
+/// Asks the service with this folder to restore a revision, whether it is running or not.
+pub fn ask_to_restore(folder: &Path, revision: u64) -> Result<(), RestoreError> {
+    if let Err(error) = check(folder, revision) {
+        let others: Vec<String> = old_revisions(folder)?.iter().map(|old| old.revision.to_string()).collect();
+        let others = if others.is_empty() { "none".to_owned() } else { others.join(", ") };
+        return Err(match error {
+            RestoreError::NotKept(..) => RestoreError::NotKept(revision, others),
+            other => other,
+        });
+    }
+    Ok(atomic::write_bytes(&folder.join(WISH), revision.to_string().as_bytes())?)
+}
+
+/// Asks the service with this folder to let its next merge, which begins at once, replace a restored revision.
+pub fn ask_to_release(folder: &Path) -> Result<(), SceneError> {
+    atomic::write_bytes(&folder.join(WISH), RELEASE.as_bytes())
+}
+
+/// What the operator wishes. A file that holds nothing readable is removed.
+pub(super) fn wish(folder: &Path) -> Result<Option<Wish>, SceneError> {
+    let bytes = match files::read(&folder.join(WISH)) {
+        Err(SceneError::Io { cause, .. }) if cause.kind() == ErrorKind::NotFound => return Ok(None),
+        bytes => bytes?,
+    };
+    let wish = std::str::from_utf8(&bytes).ok().and_then(|text| match text.trim() {
+        RELEASE => Some(Wish::Release),
+        number => number.parse().ok().map(Wish::Restore),
+    });
+    if wish.is_none() {
+        end_wish(folder)?;
+    }
+    Ok(wish)
+}
+
+/// Removes a wish that is fulfilled or cannot be.
+pub(super) fn end_wish(folder: &Path) -> Result<(), SceneError> {
+    remove(&folder.join(WISH)).map(drop)
+}
+
+/// The key and the record of a revision, if it can be restored.
+pub(super) fn find(folder: &Path, revision: u64) -> Result<(ModelKey, Merging), RestoreError> {
+    let record = check(folder, revision)?;
+    let key = stored(folder)?.into_iter().find(|key| key.model.0 == revision);
+    key.map(|key| (key, record)).ok_or_else(|| RestoreError::NotKept(revision, String::new()))
+}
+
+/// Keeps the record of a revision, and removes those of revisions that are no longer stored.
+pub(super) fn keep_record(folder: &Path, record: &Merging) -> Result<(), ServiceError> {
+    let records = folder.join(RECORDS);
+    let failed = |cause| SceneError::io(&records, cause);
+    fs::create_dir_all(&records).map_err(failed)?;
+    let text = serde_json::to_vec(record).map_err(|cause| failed(io::Error::other(cause)))?;
+    atomic::write_bytes(&record_path(folder, record.revision), &text)?;
+    let kept: Vec<PathBuf> =
+        stored(folder)?.into_iter().map(|key| record_path(folder, key.model.0)).collect();
+    for entry in fs::read_dir(&records).map_err(failed)? {
+        let path = entry.map_err(failed)?.path();
+        if !kept.contains(&path) {
+            remove(&path)?;
+        }
+    }
+    Ok(())
+}
+
+fn record_path(folder: &Path, revision: u64) -> PathBuf {
+    folder.join(RECORDS).join(format!("{revision}.json"))
+}
+
+fn stored(folder: &Path) -> Result<Vec<ModelKey>, StoreError> {
+    ModelStore::beside(&global_store(folder)).keys()
+}
+
+/// The record of a revision, if it can be restored.
+fn check(folder: &Path, revision: u64) -> Result<Merging, RestoreError> {
+    if Merging::read(folder).is_some_and(|newest| newest.revision == revision) {
+        return Err(RestoreError::Newest(revision));
+    }
+    let is_stored = stored(folder)?.iter().any(|key| key.model.0 == revision);
+    let record = files::read(&record_path(folder, revision)).ok().filter(|_| is_stored);
+    let record = record.and_then(|bytes| serde_json::from_slice::<Merging>(&bytes).ok());
+    let record = record.ok_or_else(|| RestoreError::NotKept(revision, String::new()))?;
+    match any_listed(&ModelList::read_all(&folder.join(WITHDRAWN))?, &record.inputs) {
+        true => Err(RestoreError::Withdrawn(revision)),
+        false => Ok(record),
+    }
+}

@@ -1,0 +1,114 @@
+//! An older revision is restored, and a device is revoked, while the service runs and over a restart.
+
+use super::*;
+
+fn revision(ground: &Ground) -> u64 {
+    ground.service.keeper.global().unwrap().model.0
+}
+
+fn splats(folder: &Path) -> usize {
+    ply::read(&global_ply(folder), &LocalFrame::WORLD).unwrap().len()
+}
+
+fn is_restored(event: &ServiceEvent) -> bool {
+    matches!(event, ServiceEvent::Restored { .. })
+}
+
+/// A service with two revisions: one of the first drone, and one of both.
+fn with_two_revisions(network: &MemoryNetwork, folder: &Path) -> (Ground, Vec<Drone>) {
+    let mut ground = open(network, folder, Expected::Anybody(AT_ONCE));
+    let mut both = drones(network, 1);
+    let merged =
+        |count_of: usize| move |events: &[ServiceEvent], _: &[Drone]| count(events, is_merged) == count_of;
+    simulate(network, &mut ground, &mut both, merged(1));
+    both.push(Drone::new(network, "agent-2", 1, &model(700, 0, 2.0)));
+    simulate(network, &mut ground, &mut both, merged(1));
+    assert_eq!((revision(&ground), splats(folder)), (2, 1600));
+    (ground, both)
+}
+
+#[test]
+fn a_restored_revision_reaches_every_drone_and_stays_until_a_merge_is_asked_for() {
+    let folder = tempfile::tempdir().unwrap();
+    let path = folder.path();
+    let network = MemoryNetwork::new(61, Faults::NONE);
+    let (mut ground, mut drones) = with_two_revisions(&network, path);
+    let listed: Vec<u64> = old_revisions(path).unwrap().iter().map(|old| old.revision).collect();
+    assert_eq!(listed, [1]);
+    let unknown = ask_to_restore(path, 9).unwrap_err().to_string();
+    assert!(unknown.contains("can be restored: 1"), "{unknown}");
+    assert!(matches!(ask_to_restore(path, 2), Err(RestoreError::Newest(2))));
+
+    ask_to_restore(path, 1).unwrap();
+    let everywhere = |_: &[ServiceEvent], drones: &[Drone]| {
+        drones.iter().all(|drone| drone.global.is_some_and(|global| global.model == ModelId(3)))
+    };
+    let events = simulate(&network, &mut ground, &mut drones, everywhere);
+    assert_eq!(count(&events, is_restored), 1, "{events:?}");
+    assert_eq!((revision(&ground), splats(path)), (3, 900));
+
+    // Another model is stored, and its drone gets the restored revision.
+    drones.push(Drone::new(&network, "agent-3", 1, &model(2, 1, 3.0)));
+    let events = simulate(&network, &mut ground, &mut drones, everywhere);
+    assert_eq!(count(&events, is_stored), 1);
+    assert_eq!((revision(&ground), splats(path)), (3, 900), "it stays");
+
+    // Over a restart, too.
+    network.leave(ground.transport);
+    let mut ground = open(&network, path, Expected::Anybody(AT_ONCE));
+    let offered = |events: &[ServiceEvent], _: &[Drone]| count(events, is_restored) == 1;
+    simulate(&network, &mut ground, &mut drones, offered);
+    assert_eq!((revision(&ground), splats(path)), (3, 900), "it stays over a restart");
+
+    ask_to_release(path).unwrap();
+    let merged = |events: &[ServiceEvent], _: &[Drone]| count(events, is_merged) == 1;
+    simulate(&network, &mut ground, &mut drones, merged);
+    assert_eq!((revision(&ground), splats(path)), (4, 1602), "all models count again");
+    assert!(Merging::read(path).unwrap().restored_from.is_none());
+}
+
+#[test]
+fn ground_of_a_forgotten_device_is_not_restored_and_does_not_stay() {
+    let folder = tempfile::tempdir().unwrap();
+    let path = folder.path();
+    let network = MemoryNetwork::new(62, Faults::NONE);
+    let (mut ground, mut drones) = with_two_revisions(&network, path);
+    ask_to_restore(path, 1).unwrap();
+    let restored = |events: &[ServiceEvent], _: &[Drone]| count(events, is_restored) == 1;
+    simulate(&network, &mut ground, &mut drones, restored);
+    withdraw(path, &DeviceId::new("agent-1").unwrap()).unwrap();
+    let refused = ask_to_restore(path, 2).unwrap_err();
+    assert!(matches!(refused, RestoreError::Withdrawn(2)), "{refused}");
+    let merged = |events: &[ServiceEvent], _: &[Drone]| count(events, is_merged) == 1;
+    simulate(&network, &mut ground, &mut drones, merged);
+    assert_eq!((revision(&ground), splats(path)), (4, 700), "only agent-2 is left");
+    assert!(old_revisions(path).unwrap().is_empty(), "all older ones show agent-1");
+}
+
+#[test]
+fn a_revoked_device_is_not_heard_even_after_a_restart_until_it_is_let_in_again() {
+    let folder = tempfile::tempdir().unwrap();
+    let path = folder.path();
+    let network = MemoryNetwork::new(63, Faults::NONE);
+    let device = DeviceId::new("agent-2").unwrap();
+    revoke(path, &device).unwrap();
+    for attempt in 0..2 {
+        let mut drones = drones(&network, 2);
+        let mut ground = open(&network, path, Expected::Anybody(AT_ONCE));
+        let until = network.now() + Duration::from_secs(60);
+        simulate(&network, &mut ground, &mut drones, |_, _| network.now() > until);
+        let heard: Vec<ModelKey> = ground.service.keeper.counted();
+        assert_eq!(heard.iter().map(|key| key.device.as_str()).collect::<Vec<_>>(), ["agent-1"], "{attempt}");
+        network.leave(ground.transport);
+        drones.into_iter().for_each(|drone| network.leave(drone.transport));
+    }
+    let mut drones = drones(&network, 2);
+    let mut ground = open(&network, path, Expected::Anybody(AT_ONCE));
+    assert!(readmit(path, &device).unwrap() && !readmit(path, &device).unwrap());
+    let both = |ground: &Ground, _: &[ServiceEvent]| ground.service.keeper.counted().len() == 2;
+    simulate_until(&network, &mut ground, &mut drones, both);
+    revoke(path, &device).unwrap();
+    let told = |events: &[ServiceEvent], _: &[Drone]| events.contains(&ServiceEvent::Revoked { device });
+    simulate(&network, &mut ground, &mut drones, told);
+    assert_eq!(ground.service.keeper.counted().len(), 2, "what it has sent counts until it is forgotten");
+}
