@@ -19,6 +19,7 @@ mod live;
 mod metrics;
 mod models;
 mod pages;
+mod refusals;
 mod serve;
 mod site_map;
 mod state;

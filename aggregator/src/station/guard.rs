@@ -1,5 +1,7 @@
 //! Decides who may ask, and tells browsers what a page may do.
 
+use std::net::IpAddr;
+
 use axum::extract::{Request, State};
 use axum::http::header::{
     AUTHORIZATION, CACHE_CONTROL, CONTENT_SECURITY_POLICY, COOKIE, HOST, HeaderName, ORIGIN, REFERRER_POLICY,
@@ -9,6 +11,8 @@ use axum::http::{HeaderMap, HeaderValue, Method, StatusCode, Uri};
 use axum::middleware::Next;
 use axum::response::{IntoResponse, Redirect, Response};
 
+use super::listen::Peer;
+use super::refusals::Refusals;
 use super::token::Token;
 
 /// Name of the cookie that carries the token.
@@ -28,19 +32,26 @@ const HEADERS: [(HeaderName, &str); 6] = [
 ];
 
 /// Who may ask for what.
-#[derive(Clone, Debug)]
+#[derive(Clone)]
 pub(super) struct Guard {
     /// What acting needs, and beyond this computer also looking.
     pub(super) token: Token,
     /// True if the server is bound to a loopback address.
     pub(super) is_local: bool,
+    /// Where refused requests are told.
+    pub(super) refusals: Refusals,
 }
 
 /// Lets a request through, or answers it with a refusal; adds headers to the answer.
 pub(super) async fn protect(State(guard): State<Guard>, request: Request, next: Next) -> Response {
     let mut response = match guard.admit(request.method(), request.uri(), request.headers()) {
-        Ok(()) => next.run(request).await,
-        Err(refusal) => *refusal,
+        Ok(Admitted::Yes) => next.run(request).await,
+        Ok(Admitted::Welcome) => guard.welcome(),
+        Err(Refusal(status, why)) => {
+            let by = request.extensions().get().map_or(IpAddr::from([0, 0, 0, 0]), |Peer(by)| *by);
+            guard.refusals.note(by, request.method(), request.uri(), why);
+            (status, format!("{why}\n")).into_response()
+        }
     };
     for (name, value) in HEADERS {
         response.headers_mut().insert(name, HeaderValue::from_static(value));
@@ -48,33 +59,43 @@ pub(super) async fn protect(State(guard): State<Guard>, request: Request, next: 
     response
 }
 
+/// What happens to a request that is let through.
+enum Admitted {
+    Yes,
+    /// The address carried the token: it goes into a cookie.
+    Welcome,
+}
+
+/// The answer to a request that is not let through: its status, and why.
+struct Refusal(StatusCode, &'static str);
+
 impl Guard {
-    /// Decides on a request. The error is the answer to one that is not let through.
-    fn admit(&self, method: &Method, uri: &Uri, headers: &HeaderMap) -> Result<(), Box<Response>> {
+    /// Decides on a request.
+    fn admit(&self, method: &Method, uri: &Uri, headers: &HeaderMap) -> Result<Admitted, Refusal> {
         let host = text(headers, HOST).unwrap_or_default();
         // A proxy in front might look at another of them than this server.
         let is_another = uri.authority().is_some_and(|authority| authority.as_str() != host);
         if headers.get_all(HOST).iter().count() > 1 || is_another {
-            return Err(refuse(StatusCode::BAD_REQUEST, "name this server once, in the header Host"));
+            return Err(Refusal(StatusCode::BAD_REQUEST, "name this server once, in the header Host"));
         }
         // A page of another site whose name was made to lead here would otherwise read everything.
         if self.is_local && !is_local_name(host) {
-            return Err(refuse(StatusCode::FORBIDDEN, "open this server as 127.0.0.1 or localhost"));
+            return Err(Refusal(StatusCode::FORBIDDEN, "open this server as 127.0.0.1 or localhost"));
         }
         let acts = method != Method::GET && method != Method::HEAD;
         if acts && !is_same_site(headers, host) {
-            return Err(refuse(StatusCode::FORBIDDEN, "a page of another site may not act here"));
+            return Err(Refusal(StatusCode::FORBIDDEN, "a page of another site may not act here"));
         }
         if method == Method::GET && uri.path() == "/" && self.has_token_in_query(uri) {
-            return Err(Box::new(self.welcome()));
+            return Ok(Admitted::Welcome);
         }
         let has_token = shown(headers).any(|text| self.token.is(text));
         if !has_token && (acts || !self.is_local) {
             let how =
                 "a token is needed: open the address that the program printed, or send it as a bearer token";
-            return Err(refuse(StatusCode::UNAUTHORIZED, how));
+            return Err(Refusal(StatusCode::UNAUTHORIZED, how));
         }
-        Ok(())
+        Ok(Admitted::Yes)
     }
 
     fn has_token_in_query(&self, uri: &Uri) -> bool {
@@ -123,14 +144,14 @@ fn is_same_site(headers: &HeaderMap, host: &str) -> bool {
         && fetch_site.is_none_or(|site| site == "same-origin" || site == "none")
 }
 
-fn refuse(status: StatusCode, why: &'static str) -> Box<Response> {
-    Box::new((status, format!("{why}\n")).into_response())
-}
-
 #[cfg(test)]
 mod tests {
     #![allow(clippy::unwrap_used)]
     use super::*;
+
+    fn guard(is_local: bool) -> Guard {
+        Guard { token: Token::random().unwrap(), is_local, refusals: Refusals::new(|_| ()) }
+    }
 
     fn headers(entries: &[(&'static str, &str)]) -> HeaderMap {
         let entry = |(name, value): &(&'static str, &str)| {
@@ -141,12 +162,12 @@ mod tests {
 
     fn status(guard: &Guard, method: Method, uri: &str, entries: &[(&'static str, &str)]) -> u16 {
         let answer = guard.admit(&method, &uri.parse().unwrap(), &headers(entries));
-        answer.err().map_or(200, |response| response.status().as_u16())
+        answer.err().map_or(200, |Refusal(status, _)| status.as_u16())
     }
 
     #[test]
     fn on_this_computer_looking_is_free_and_acting_needs_the_token() {
-        let guard = Guard { token: Token::random().unwrap(), is_local: true };
+        let guard = guard(true);
         let bearer = format!("Bearer {}", guard.token.as_str());
         let cookie = format!("a=b; {COOKIE_NAME}={}", guard.token.as_str());
         let host = ("host", "127.0.0.1:8080");
@@ -165,7 +186,7 @@ mod tests {
 
     #[test]
     fn a_page_of_another_site_cannot_act_even_with_the_cookie() {
-        let guard = Guard { token: Token::random().unwrap(), is_local: true };
+        let guard = guard(true);
         let cookie = format!("{COOKIE_NAME}={}", guard.token.as_str());
         let with = |more: (&'static str, &str)| {
             status(&guard, Method::POST, "/x", &[("host", "localhost:1"), ("cookie", &cookie), more])
@@ -179,12 +200,14 @@ mod tests {
 
     #[test]
     fn beyond_this_computer_everything_needs_the_token_which_an_address_may_carry_once() {
-        let guard = Guard { token: Token::random().unwrap(), is_local: false };
+        let guard = guard(false);
         let host = ("host", "192.168.1.10:80");
         assert_eq!(status(&guard, Method::GET, "/", &[host]), 401);
         assert_eq!(status(&guard, Method::GET, "/?token=wrong", &[host]), 401);
         let uri = format!("/?token={}", guard.token.as_str());
-        let answer = guard.admit(&Method::GET, &uri.parse().unwrap(), &headers(&[host])).unwrap_err();
+        let admitted = guard.admit(&Method::GET, &uri.parse().unwrap(), &headers(&[host]));
+        assert!(matches!(admitted, Ok(Admitted::Welcome)));
+        let answer = guard.welcome();
         assert_eq!(
             (answer.status().as_u16(), &answer.headers()["location"]),
             (303, &HeaderValue::from_static("/"))

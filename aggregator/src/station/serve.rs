@@ -15,6 +15,7 @@ use super::guard::{Guard, protect};
 use super::listen::Server;
 use super::live::Live;
 use super::pages::{files, model_page, spz_file, typed};
+use super::refusals::Refusals;
 use super::token::Token;
 use crate::viewer::Walkable;
 
@@ -29,7 +30,7 @@ pub fn serve_model(address: SocketAddr, token: &Token, model: Walkable) -> Resul
         .route("/scene.json", get(move || async move { typed("application/json", scene) }))
         .route("/first.spz", get(move || async move { first.map(spz_file).ok_or(StatusCode::NOT_FOUND) }))
         .route("/model.spz", get(move || async move { spz_file(spz) }));
-    start(address, token, routes)
+    start(address, token, routes, Refusals::new(|_| ()))
 }
 
 /// Serves a running site until the server is dropped. Without `act` there are no actions. Beyond this computer, `token` must be
@@ -40,12 +41,19 @@ pub fn serve_site(
     board: Board,
     act: Option<Act>,
 ) -> Result<Server, StationError> {
-    start(address, token, Live::new(board, act).routes())
+    let log = board.clone();
+    let refusals = Refusals::new(move |line| log.note_line(line));
+    start(address, token, Live::new(board, act).routes(), refusals)
 }
 
 /// Starts the server with these routes, those of the files, and a guard in front of all.
-fn start(address: SocketAddr, token: &Token, routes: Router) -> Result<Server, StationError> {
-    let guard = Guard { token: token.clone(), is_local: address.ip().is_loopback() };
+fn start(
+    address: SocketAddr,
+    token: &Token,
+    routes: Router,
+    refusals: Refusals,
+) -> Result<Server, StationError> {
+    let guard = Guard { token: token.clone(), is_local: address.ip().is_loopback(), refusals };
     let routes = routes.merge(files()).layer(from_fn_with_state(guard, protect));
     // For programs that watch whether the server lives. It tells nothing else, and needs no token.
     Server::start(address, routes.route("/healthz", get(|| async { "ok\n" })))

@@ -116,6 +116,25 @@ fn strangers_beyond_this_computer_see_nothing_without_the_token() {
 }
 
 #[test]
+fn refused_requests_are_told_and_a_flood_of_them_in_few_lines() {
+    let site = Site::start("127.0.0.1:0");
+    site.post("/api/merge", &[], "");
+    ask(site.address(), "GET /api/state", &["Host: evil.example"], "");
+    site.post("/api/merge", &["Origin: http://evil.example"], "");
+    (0..40).for_each(|_| _ = site.post("/api/forget?token=secret", &[], ""));
+    let state = site.get("/api/state");
+    for line in [
+        "refused POST /api/merge of 127.0.0.1: a token is needed",
+        "refused GET /api/state of 127.0.0.1: open this server as",
+        "refused POST /api/merge of 127.0.0.1: a page of another site",
+    ] {
+        assert!(state.contains(line), "{line}: {state}");
+    }
+    assert_eq!(state.matches("refused ").count(), 5, "{state}");
+    assert!(!state.contains("secret"), "{state}");
+}
+
+#[test]
 fn paths_lead_nowhere_and_other_hosts_are_refused() {
     let site = Site::start("127.0.0.1:0");
     for path in

@@ -1,0 +1,88 @@
+//! Tells of refused requests in the log: a few lines a minute, however many there are, so that a flood fills no disk and hides
+//! nothing else.
+//!
+//! What it knows nothing about: why requests are refused.
+
+use std::net::IpAddr;
+use std::sync::{Arc, Mutex, PoisonError};
+use std::time::{Duration, Instant};
+
+use axum::http::{Method, Uri};
+use cosurf_contract::Escaped;
+use tracing::warn;
+
+/// Refusals that are told one by one in a [`PERIOD`].
+const LINES: u64 = 5;
+const PERIOD: Duration = Duration::from_secs(60);
+/// Longest path that is told, characters.
+const PATH_CHARS_MAX: usize = 60;
+
+/// Gets a line for the log.
+type Tell = Arc<dyn Fn(&str) + Send + Sync>;
+
+/// The refusals of a server. Clones share their number.
+#[derive(Clone)]
+pub(super) struct Refusals {
+    tell: Tell,
+    period: Arc<Mutex<Period>>,
+}
+
+#[derive(Debug)]
+struct Period {
+    begun: Instant,
+    count: u64,
+}
+
+impl Refusals {
+    /// `tell` gets lines for the log of the page; all lines go to the log of the program, too.
+    pub(super) fn new(tell: impl Fn(&str) + Send + Sync + 'static) -> Self {
+        let period = Period { begun: Instant::now(), count: 0 };
+        Self { tell: Arc::new(tell), period: Arc::new(Mutex::new(period)) }
+    }
+
+    /// Notes that a request was refused, and why.
+    pub(super) fn note(&self, by: IpAddr, method: &Method, uri: &Uri, why: &str) {
+        // Without the query, which may hold a token.
+        let path: String = uri.path().chars().take(PATH_CHARS_MAX).collect();
+        let line = format!("refused {method} {path} of {by}: {why}");
+        let lines = self.period.lock().unwrap_or_else(PoisonError::into_inner).next(Instant::now(), line);
+        for line in lines.iter().map(|line| Escaped(line).to_string()) {
+            warn!("{line}");
+            (self.tell)(&line);
+        }
+    }
+}
+
+impl Period {
+    /// The lines to tell for the next refusal.
+    fn next(&mut self, now: Instant, line: String) -> Vec<String> {
+        let mut lines = Vec::new();
+        if now.saturating_duration_since(self.begun) >= PERIOD {
+            let more = self.count.saturating_sub(LINES);
+            if more > 0 {
+                lines.push(format!("refused {more} more requests before"));
+            }
+            *self = Self { begun: now, count: 0 };
+        }
+        self.count += 1;
+        if self.count <= LINES {
+            lines.push(line);
+        }
+        lines
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn a_flood_gives_a_few_lines_and_their_number() {
+        let begun = Instant::now();
+        let mut period = Period { begun, count: 0 };
+        let told: usize = (0..10_000).map(|_| period.next(begun, "x".into()).len()).sum();
+        assert_eq!(told, 5);
+        let later = period.next(begun + PERIOD, "y".into());
+        assert_eq!(later, ["refused 9995 more requests before", "y"]);
+    }
+}
