@@ -14,7 +14,7 @@ use std::time::Instant;
 use anyhow::{Context, Result};
 use clap::{Args, Parser, Subcommand};
 use cosurf_aggregator::georeference::write_georeference;
-use cosurf_aggregator::service::{Command, Host, SideEvent, serve};
+use cosurf_aggregator::service::{Command, Host, SideEvent, expected_devices, serve};
 use cosurf_aggregator::station::PAGE_BYTES;
 use cosurf_cli::{VERSION, shell};
 use cosurf_contract::{Escaped, LogFormat, log};
@@ -181,6 +181,7 @@ fn run(args: &RunArgs) -> Result<()> {
     let (begun, json) = (Instant::now(), args.json);
     let site = args.http.serve(&config.out, Some(orders))?;
     let board = site.as_ref().map(|site| site.board.clone());
+    board.iter().for_each(|board| board.expect(expected_devices(&config)));
     let heard = board.clone();
     let line =
         |port: &String| SerialConfig::device(port, args.baud, cli::host::session(), GATEWAY_MESSAGE_BYTES);

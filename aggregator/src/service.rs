@@ -89,7 +89,7 @@ pub use reporting::{ReportError, ReportTask, Reported, Reporter};
 pub use restore::{OldRevision, RestoreError, ask_to_release, ask_to_restore, old_revisions};
 pub use revoked::{readmit, revoke, revoked};
 pub use round::{Expected, Rounds};
-pub use serve::{Host, ServeError, SideEvent, neighbours, serve};
+pub use serve::{Host, ServeError, SideEvent, expected_devices, neighbours, serve};
 pub(crate) use station::Station;
 pub use statuses::DeviceStatus;
 pub use upstream::UpstreamEvent;

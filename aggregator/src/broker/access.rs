@@ -62,6 +62,11 @@ pub enum UsersError {
 pub struct Users(BTreeMap<DeviceId, String>);
 
 impl Users {
+    /// The names of the users.
+    pub fn names(&self) -> impl Iterator<Item = DeviceId> {
+        self.0.keys().copied()
+    }
+
     /// Reads a file with a line for each user, as [`user_line`] makes it. Empty lines and lines that begin with `#` do
     /// not count.
     pub fn read(path: &Path) -> Result<Self, UsersError> {

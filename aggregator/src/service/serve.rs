@@ -3,6 +3,7 @@
 mod error;
 mod reach;
 
+use std::collections::{BTreeMap, BTreeSet};
 use std::fmt;
 use std::fs;
 use std::ops::ControlFlow;
@@ -32,7 +33,7 @@ use super::round::{Expected, Rounds};
 use super::site_plan::read_plan;
 use super::statuses::DeviceStatus;
 use super::upstream::{Upstream, UpstreamEvent, UpstreamNode};
-use crate::broker::{Broker, BrokerEvent, Reach};
+use crate::broker::{Broker, BrokerEvent, Reach, Users};
 use crate::gateway::{Gateway, GatewayEvent};
 use crate::merge::MergeSettings;
 use crate::queue::Queue;
@@ -284,11 +285,26 @@ fn introducer(config: &AggregatorConfig, broker: &Broker) -> Result<impl Fn(Devi
         know(Identity { site, device, session: 0, role: Role::Device }.client_id());
     };
     senders(&config.out)?.into_iter().for_each(&introduce);
-    if let Some(trusted) = &config.trusted {
-        let text = fs::read_to_string(trusted).map_err(|cause| SceneError::io(trusted, cause))?;
-        // The names before the keys. Lines of revoked keys begin with another word.
-        let names = text.lines().filter_map(|line| line.split_whitespace().next());
-        names.filter_map(|name| DeviceId::new(name).ok()).for_each(&introduce);
-    }
+    trusted_names(config)?.into_iter().for_each(&introduce);
     Ok(introduce)
+}
+
+/// The names in the list of trusted keys.
+fn trusted_names(config: &AggregatorConfig) -> Result<BTreeSet<DeviceId>, SceneError> {
+    let Some(trusted) = &config.trusted else { return Ok(BTreeSet::new()) };
+    let text = fs::read_to_string(trusted).map_err(|cause| SceneError::io(trusted, cause))?;
+    // The names before the keys. Lines of revoked keys begin with another word.
+    let names = text.lines().filter_map(|line| line.split_whitespace().next());
+    Ok(names.filter_map(|name| DeviceId::new(name).ok()).collect())
+}
+
+/// The devices that a configuration names: in the list of trusted keys, in that of users, and in the plan. Files that cannot be
+/// read name nobody; [`serve`] reports them.
+pub fn expected_devices(config: &AggregatorConfig) -> BTreeSet<DeviceId> {
+    let mut devices = trusted_names(config).unwrap_or_default();
+    let users = config.users.as_deref().and_then(|file| Users::read(file).ok());
+    devices.extend(users.iter().flat_map(Users::names));
+    let plan = config.plan.as_deref().and_then(|file| read_plan(file, config.margin).ok());
+    devices.extend(plan.into_iter().flat_map(BTreeMap::into_keys));
+    devices
 }

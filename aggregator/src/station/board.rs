@@ -5,7 +5,7 @@
 //! length of texts. A reader is told only that the board has changed, so a slow one keeps nothing waiting: it reads all that
 //! has changed since it last read, each device once.
 
-use std::collections::{BTreeMap, VecDeque};
+use std::collections::{BTreeMap, BTreeSet, VecDeque};
 use std::path::{Path, PathBuf};
 use std::sync::{Arc, Mutex, MutexGuard, PoisonError};
 use std::time::{Instant, SystemTime, UNIX_EPOCH};
@@ -21,9 +21,11 @@ use crate::service::{DeviceStatus, KeptOut, Merging, ServiceEvent, revoked};
 
 /// Largest number of devices; further ones have no row.
 const DEVICES_MAX: usize = 1024;
-/// A device that has only told how far it is gets a row up to this number of devices: at a broker that lets everybody write,
-/// invented names must leave rows for devices that send models.
+/// A device of which nothing is known gets a row up to this number of devices: at a broker that lets everybody write, invented
+/// names must leave rows for devices that the site expects, or that send models.
 const TOLD_DEVICES_MAX: usize = 768;
+/// A device of which nothing is known loses its row to another one once it was not heard for so long, seconds.
+const STALE_S: f64 = 300.0;
 /// Largest number of lines of the log; the oldest ones go.
 const LINES_MAX: usize = 300;
 /// Longest text of a line, characters.
@@ -51,6 +53,10 @@ struct Notes {
     merge: Option<MergeProgress>,
     revision: Option<Revision>,
     devices: BTreeMap<DeviceId, Device>,
+    /// Devices that the site expects.
+    expected: BTreeSet<DeviceId>,
+    /// The change that last removed a device: readers that know older ones need all devices.
+    removed: u64,
     /// Lines with the number of the change that wrote them.
     log: VecDeque<(u64, Line)>,
     events: u64,
@@ -100,6 +106,11 @@ impl Board {
         Self(Arc::new(Shared { folder: folder.into(), begun: Instant::now(), state, changes }))
     }
 
+    /// Names devices that the site expects. They take rows of devices of which nothing is known.
+    pub fn expect(&self, devices: BTreeSet<DeviceId>) {
+        self.change(|notes, _| notes.expected = devices);
+    }
+
     /// Notes an event of the service.
     pub fn note_service(&self, event: &ServiceEvent) {
         self.change(|notes, now_s| {
@@ -126,7 +137,7 @@ impl Board {
 
     fn note_status_of(&self, device: DeviceId, status: AgentStatus, age_s: f64) {
         self.change(|notes, now_s| {
-            let Some(known) = notes.device(device, TOLD_DEVICES_MAX) else { return };
+            let Some(known) = notes.told_device(device, now_s) else { return };
             if known.is_revoked {
                 return;
             }
@@ -170,6 +181,7 @@ impl Board {
     /// What has changed since the change with this number, 0 for everything; and the number of the newest change.
     pub(super) fn state_since(&self, seen: u64) -> (State, u64) {
         let (now_s, notes) = (self.now_s(), self.notes());
+        let seen = if seen < notes.removed { 0 } else { seen };
         let is_new = |change: u64| seen == 0 || change > seen;
         let devices = notes.devices.iter().filter(|(_, its)| is_new(its.changed));
         let log = notes.log.iter().filter(|(change, _)| is_new(*change));
@@ -234,6 +246,27 @@ impl Notes {
         let its = self.devices.entry(device).or_default();
         its.changed = self.change;
         Some(its)
+    }
+
+    /// The row of a device that tells how far it is. If all rows are taken, an expected device gets that of the unknown one
+    /// that was not heard for longest, and another device only one that is stale.
+    fn told_device(&mut self, device: DeviceId, now_s: f64) -> Option<&mut Device> {
+        if self.devices.len() >= TOLD_DEVICES_MAX && !self.devices.contains_key(&device) {
+            let is_expected = self.expected.contains(&device);
+            let unknown = self.devices.iter().filter(|(name, its)| {
+                its.model.is_none() && !its.is_revoked && !self.expected.contains(*name)
+            });
+            let heard_s = |its: &Device| its.heard_s.unwrap_or(f64::NEG_INFINITY);
+            let stalest = unknown.min_by(|(_, one), (_, other)| heard_s(one).total_cmp(&heard_s(other)));
+            let (name, its) = stalest?;
+            if !is_expected && now_s - heard_s(its) < STALE_S {
+                return None;
+            }
+            let name = *name;
+            self.devices.remove(&name);
+            self.removed = self.change;
+        }
+        self.device(device, DEVICES_MAX)
     }
 
     fn follow(&mut self, event: &ServiceEvent) {
@@ -340,6 +373,24 @@ mod tests {
         let state = board.state();
         assert_eq!((state.devices.len(), state.log.len()), (TOLD_DEVICES_MAX, LINES_MAX));
         assert!(state.log.iter().all(|line| line.text.len() == LINE_CHARS_MAX));
+    }
+
+    #[test]
+    fn invented_names_leave_rows_for_expected_devices_and_those_that_send_models() {
+        let board = board();
+        let expected = ["drone-1", "drone-2"].map(device);
+        board.expect(expected.into());
+        for i in 0..2 * DEVICES_MAX {
+            board.note_status(device(&format!("d-{i}")), AgentStatus::new(1, "1"));
+        }
+        let (_, seen) = board.state_since(0);
+        expected.iter().for_each(|name| board.note_status(*name, AgentStatus::new(9, "1")));
+        board.note_status(device("stranger"), AgentStatus::new(9, "1"));
+        let (state, _) = board.state_since(seen);
+        let has = |name: &str| state.devices.iter().any(|its| its.device == name);
+        assert!(state.is_whole, "readers learn that rows are gone");
+        assert_eq!(state.devices.len(), TOLD_DEVICES_MAX);
+        assert!(has("drone-1") && has("drone-2") && !has("stranger") && !has("d-0"));
     }
 
     #[test]
