@@ -139,6 +139,40 @@ fn the_page_follows_a_site_and_finds_it_again() {
     await_page(&browser, found, LOST_WITHIN);
 }
 
+/// The page of a mission shows the first progress within two seconds of the first event, and the merged model within five of
+/// its revision, as the browser gets it.
+#[test]
+fn the_page_of_a_mission_shows_progress_and_model_in_time() {
+    let Some(browser) = Chromium::start([1100, 900]) else { return };
+    let folder = tempfile::tempdir().unwrap();
+    let town = ["town", "data", "--size", "96", "--views", "48"];
+    let (has_town, log) = Running::start("cosurf-aggregator", folder.path(), &town).end();
+    assert!(has_town, "{log}");
+    let mission = ["mission", "--data", "data", "--agents", "2", "--steps", "300", "--http", "127.0.0.1:0"];
+    let program = Running::start("cosurf-aggregator", folder.path(), &mission);
+    browser.open(&program.page());
+    let page: SocketAddr = program.page().split('/').nth(2).unwrap().parse().unwrap();
+    let state = || String::from_utf8_lossy(&read(page, "/api/state", Duration::ZERO, |_| false)).into_owned();
+    let begun = Instant::now();
+    while !state().contains("\"phase\":") {
+        assert!(begun.elapsed() < PATIENCE);
+        sleep(Duration::from_millis(20));
+    }
+    let progress = await_page(&browser, "document.querySelector('#devices progress')", PATIENCE);
+    while !state().contains("\"revision\":{") {
+        assert!(begun.elapsed() < PATIENCE);
+        sleep(Duration::from_millis(20));
+    }
+    let merged = Instant::now();
+    await_page(&browser, "document.body.dataset.revision === '1'", PATIENCE);
+    assert_eq!(browser.value("cosurf.then((viewer) => viewer.scene.splats > 100)"), true);
+    let model = merged.elapsed();
+    println!("first progress after {progress:.1?}, model after {model:.1?}");
+    assert!(progress < Duration::from_secs(2) && model < Duration::from_secs(5), "{progress:?} {model:?}");
+    let devices = browser.value("cosurf.then((viewer) => viewer.scene.devices)");
+    assert_eq!(devices, serde_json::json!(["agent-1", "agent-2"]));
+}
+
 /// A second revision is offered, and the first one can be seen beside it.
 fn revisions_are_compared(browser: &Chromium, site: &Site, program: &Running) {
     site.upload("drone-1", 2, 2500);
