@@ -161,6 +161,28 @@ fn a_model_that_has_become_small_is_sent_whole_again() {
 }
 
 #[test]
+fn a_restored_revision_is_sent_in_tiles() {
+    let folder = tempfile::tempdir().unwrap();
+    let network = MemoryNetwork::new(43, Faults::NONE);
+    let mut ground = open_tiled(&network, folder.path());
+    let mut drones = vec![Keeping::new(&network, "west", -10.0), Keeping::new(&network, "east", 2.0)];
+    let first = fly(&network, &mut ground, &mut drones, 2);
+    let before = ply::read(&global_ply(folder.path()), &LocalFrame::WORLD).unwrap().len();
+    drones.push(Keeping::new(&network, "far", 10.0));
+    let second = fly(&network, &mut ground, &mut drones, 3);
+    ask_to_restore(folder.path(), first.0).unwrap();
+    let mut events = Vec::new();
+    while drones[..2].iter().any(|drone| drone.complete.is_none_or(|complete| complete.revision <= second)) {
+        let now = network.now();
+        drones.iter_mut().for_each(|drone| drone.step(now));
+        step(&network, &mut ground, &mut [], &mut events);
+    }
+    let all = ply::read(&global_ply(folder.path()), &LocalFrame::WORLD).unwrap();
+    assert!(all.len() == before && all.means.iter().all(|mean| mean[0] < 7.0), "the third strip is gone");
+    assert_eq!(drones[0].xs().len() + drones[1].xs().len(), before, "each has its ground");
+}
+
+#[test]
 fn a_drone_that_has_lost_its_folder_gets_all_its_tiles_again() {
     let folder = tempfile::tempdir().unwrap();
     let network = MemoryNetwork::new(50, BAD_WEATHER);
