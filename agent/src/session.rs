@@ -16,7 +16,7 @@ use cosurf_engine::{
 use cosurf_scene::bytes::format_bytes;
 use cosurf_scene::cache::Source;
 use cosurf_scene::{
-    Camera, Dataset, LocalFrame, ORIGIN_MAX, PictureCache, Shrinking, SparsePoint, Splats, View,
+    Camera, Dataset, LocalFrame, ORIGIN_MAX, PictureCache, Shrinking, SparsePoint, Splats, View, mask,
 };
 use glam::DVec3;
 use tracing::info_span;
@@ -179,6 +179,7 @@ impl Session {
             ));
         }
         let (mut sizes, mut backend) = prepare(plan, &data)?;
+        check_pictures(&held_out, &sizes)?;
         let mut given_up = std::mem::take(&mut sizes.budget.given_up);
         if stride > 1 {
             given_up.push(format!("of the sparse points, one of {stride} is used"));
@@ -358,6 +359,17 @@ fn split(dataset: &Dataset, split: &Split) -> Result<(Vec<usize>, Vec<usize>)> {
         Split::Every(every) => Ok(dataset.split(*every)),
         Split::Named { train, held_out } => Ok((find(train)?, find(held_out)?)),
     }
+}
+
+/// Decodes the pictures that are held out as they are scored at the end. Fails if one cannot be read: after the training it
+/// would be told too late.
+fn check_pictures(held_out: &[View], sizes: &Sizes) -> Result<()> {
+    let long_side_px = sizes.budget.capacity.size_px.into_iter().max().unwrap_or(1);
+    for view in held_out {
+        let size_px = view.camera.fitted_size(long_side_px);
+        mask::read(&view.path, view.mask.as_ref(), size_px, sizes.sources[0].shrinking)?;
+    }
+    Ok(())
 }
 
 /// Reads the splats to start from, at most `splats_max`. Fails if the cameras see none of them.

@@ -334,6 +334,20 @@ fn two_pictures_are_too_few_and_a_driver_says_nothing() {
     assert!(output.status.success() && told.is_empty(), "{told}");
 }
 
+/// A picture that is held out is read only after the training.
+#[test]
+fn a_held_out_picture_that_is_cut_short_is_told_before_the_training() {
+    let folder = tempfile::tempdir().unwrap();
+    prepare(folder.path(), "serial = \"/dev/no-radio\"", 100);
+    let held_out = folder.path().join("data/images/0000.jpg");
+    let bytes = fs::read(&held_out).unwrap();
+    fs::write(&held_out, &bytes[..bytes.len() / 2]).unwrap();
+    let mut train = Command::new(program("cosurf-agent"));
+    train.args(["train", "data", "--out", "out", "--steps", "100000", "--compute", "cpu"]);
+    train.current_dir(folder.path());
+    Agent::of(train, Instant::now()).tells("it was cut short");
+}
+
 /// Pictures that have nothing to do with their poses.
 #[test]
 fn a_training_that_learns_nothing_fails_and_leaves_its_model() {
