@@ -38,9 +38,9 @@ use crate::evaluate::{Judge, Quality, Yardsticks};
 use crate::georeference::{common_georeference, write_georeference};
 use crate::merge::memory::least_bytes;
 use crate::outputs::{Relief, client, deliver, relief};
-use crate::report::{Drawings, EdgeSummary, MissionReport, Showcase, page, showcases};
+use crate::report::{Drawings, EdgeSummary, MeshSummary, MissionReport, Showcase, page, showcases};
 use crate::service::{Merging, global_ply, write_joined};
-use crate::survey::{Accuracy, CONTOURS_M, SurveyError, SurveyOrder};
+use crate::survey::{Accuracy, CONTOURS_M, FusedMesh, SurveyError, SurveyOrder};
 use crate::terminal::Meter;
 use crate::views::open_within;
 use agents::{AgentCommand, AgentProcesses};
@@ -107,10 +107,7 @@ pub fn fly(order: &MissionOrder, around: &Surroundings) -> Result<Flown, Mission
     let seconds = ((around.now)() - begun).as_secs_f64();
     let mut report = summarize(&plan, &order.settings, &board, &global, &evaluation.qualities);
     report.whole.seconds = seconds;
-    match relief {
-        Relief::Made { summary, .. } => report.whole.mesh = Some(summary),
-        Relief::Missing(error) => report.whole.mesh_failure = Some(error.to_string()),
-    }
+    (report.whole.mesh, report.whole.mesh_failure) = summary_of(relief);
     let (joined, failure) = or_too_little_memory(judge_joined(order, around, &scene, &plan))?;
     report.whole.joined = joined.flatten();
     report.whole.scores_failure = scores_failure.or(failure);
@@ -118,7 +115,7 @@ pub fn fly(order: &MissionOrder, around: &Surroundings) -> Result<Flown, Mission
     report.edges =
         plan.edges.iter().zip(&edges).map(|(edge, status)| summary(order, &plan, edge, status)).collect();
     phases.end("scores");
-    let surveyed = georeference.map(|georeference| survey(order, around, georeference));
+    let surveyed = georeference.map(|georeference| survey(order, around, georeference, report.whole.mesh));
     if surveyed.is_some() {
         phases.end("survey");
     }
@@ -160,16 +157,27 @@ fn make_plan(
     Ok(Plan::make(dataset, settings, out, fresh_site)?)
 }
 
-/// Makes the deliverables of the global model.
+/// The figures of a mesh, or why there is none. The mesh itself is gone afterwards: the survey needs its memory.
+fn summary_of(relief: Relief) -> (Option<MeshSummary>, Option<String>) {
+    match relief {
+        Relief::Made { summary, .. } => (Some(summary), None),
+        Relief::Missing(error) => (None, Some(error.to_string())),
+    }
+}
+
+/// Makes the deliverables of the global model, whose mesh was made or failed.
 fn survey(
     order: &MissionOrder,
     around: &Surroundings,
     georeference: Georeference,
+    mesh: Option<MeshSummary>,
 ) -> Result<Accuracy, SurveyError> {
+    let mesh = mesh.map(|mesh| FusedMesh { file: mesh_ply(&order.out), voxel_m: mesh.voxel_m });
     let survey = SurveyOrder {
         folder: order.out.clone(),
         out: order.out.join(SURVEY),
         georeference,
+        mesh,
         gsd_m: None,
         contours_m: CONTOURS_M,
         volumes: None,
@@ -310,13 +318,18 @@ fn or_too_little_memory<T>(
     }
 }
 
+/// The mesh in the folder of a mission.
+fn mesh_ply(folder: &Path) -> PathBuf {
+    folder.join("mesh.ply")
+}
+
 /// Makes the mesh of the global model.
 fn mesh(order: &MissionOrder, around: &Surroundings, scene: &Scene) -> Result<Relief, MissionError> {
     // Those that the agents trained on, as with `cosurf-aggregator run` and `mesh`.
     let cameras = Dataset::cameras(&order.out)?;
     let cameras: Vec<Camera> = cameras.iter().map(|camera| scene.frame.local_camera(camera)).collect();
     let mut meter = Meter::new(around.display);
-    let file = order.out.join("mesh.ply");
+    let file = mesh_ply(&order.out);
     let memory_bytes = order.settings.merge.memory_bytes;
     let model = global_ply(&order.out);
     let relief = relief(&model, &cameras, &scene.frame, memory_bytes, around.cores, &file, |event| {

@@ -3,7 +3,7 @@
 //!
 //! A mesh is fused from renderings of all cameras ([`crate::mesh`]): it has few floaters, so heights and points come from
 //! it. Heights that do not agree with what the cameras show are left out. The colours of the map come from the splats,
-//! rendered straight down. Both are computed tile by tile into files without names, from which the deliverables are then
+//! rendered straight down. The cameras are rendered once for all comparisons. All is computed tile by tile into files without names, from which the deliverables are then
 //! written. So the memory is that of the fusion: all that follows needs less, because it has the mesh or the splats but never
 //! both, and one tile at a time.
 //!
@@ -14,7 +14,7 @@
 //!
 //! ```text
 //! survey ─► accuracy, cog, points, solid, contours, volumes   the files
-//!            └─ confidence ─► views                          how wrong heights may be; what cameras show of them
+//!            └─ confidence, floaters ─► views, depths        how wrong heights may be; what floats; what cameras show
 //!            └─ heights, terrain, splats, colors              the surface, the ground, what nobody sees of them
 //!                └─ lattice, tiles, grid ─► place             pixels of the map; values of pixels; where on the earth
 //!                └─ scene, quadtree, parts                    the model; parts of its mesh
@@ -25,6 +25,7 @@ mod cog;
 mod colors;
 mod confidence;
 mod contours;
+mod depths;
 mod error;
 mod floaters;
 mod grid;
@@ -57,19 +58,21 @@ pub use accuracy::{Accuracy, MadeFile, PointsAccuracy};
 use accuracy::{Made, accuracy_of};
 use confidence::find_claims;
 use contours::{ContourOrder, write_contours};
+use depths::Depths;
 pub use error::SurveyError;
-use floaters::leave_out_floaters;
+use floaters::Floaters;
 use heights::{Covered, Ground, Surface, find_heights};
 use lattice::Lattice;
 use place::Place;
 use points::write_points;
 use quadtree::Quadtree;
+pub use scene::FusedMesh;
 use scene::{Relief, Scene};
 use solid::{SolidSize, write_solid};
 use splats::splats_from_above;
 use terrain::find_terrain;
 use tiles::Tiles;
-use views::{ViewOrder, Views, find_views};
+use views::{Views, find_views};
 pub use volumes::Volume;
 use volumes::{find_volumes, read_polygons};
 use witnesses::Witnesses;
@@ -86,6 +89,8 @@ pub struct SurveyOrder {
     pub out: PathBuf,
     /// Where on the earth the model lies.
     pub georeference: Georeference,
+    /// The mesh of the model, if there is one; otherwise it is fused.
+    pub mesh: Option<FusedMesh>,
     /// Side of a pixel in the coordinate system, metres, above 0; `None` for the median length that a pixel of the
     /// cameras covers on the surface, rounded to two digits.
     pub gsd_m: Option<f64>,
@@ -131,22 +136,24 @@ pub fn survey(order: &SurveyOrder, mut on_event: impl FnMut(SurveyEvent)) -> Res
     let accuracy_file = out("accuracy.json");
     remove(&accuracy_file)?; // its statement is of the files of an earlier run
 
-    let relief =
-        scene.mesh(order.memory_bytes, order.threads, |event| on_event(SurveyEvent::Fusion(event)))?;
+    let relief = match &order.mesh {
+        Some(mesh) => scene.read_mesh(mesh)?,
+        None => {
+            let on_fusion = |event| on_event(SurveyEvent::Fusion(event));
+            scene.fuse_mesh(order.memory_bytes, order.threads, on_fusion)?
+        }
+    };
     let mut show = |what, stage, done, of| on_event(SurveyEvent::Counted { what, stage, done, of });
     let voxel_m = relief.voxel_m;
     let shape = Shape::of(relief, &scene, place, order, &mut show)?;
-    let Shape { lattice, mut heights, points, solid } = shape;
+    let Shape { lattice, mut heights, depths, points, solid } = shape;
     write_ground(&order.out, order, &lattice, &mut heights)?;
 
     let splats_left_out =
         write_colors(&scene, order, &lattice, &mut heights, voxel_m, |d, n| show("tile", "colours", d, n))?;
 
     let mut views = Tiles::<Views>::new(&order.out, lattice.size_px(), lattice::TILE_PX)?;
-    let view_order = ViewOrder { voxel_m, memory_bytes: order.memory_bytes, threads: order.threads };
-    find_views(&scene, &lattice, &mut heights, &mut views, &view_order, |d, n| {
-        show("view", "comparing", d, n)
-    })?;
+    find_views(depths, &lattice, &mut heights, &mut views, voxel_m, |d, n| show("view", "comparing", d, n))?;
     let mut claims = Tiles::new(&order.out, lattice.size_px(), lattice::TILE_PX)?;
     let height_error_m = find_claims(&lattice, voxel_m, &mut heights, &mut views, &mut claims)?
         .ok_or(SurveyError::NothingSeen)?;
@@ -172,6 +179,8 @@ pub fn survey(order: &SurveyOrder, mut on_event: impl FnMut(SurveyEvent)) -> Res
 struct Shape {
     lattice: Lattice,
     heights: Tiles<f32>,
+    /// What each camera shows.
+    depths: Depths,
     /// Number of points in `points.laz`.
     points: u64,
     solid: SolidSize,
@@ -190,10 +199,15 @@ impl Shape {
         let out = &order.out;
         let witnesses = Witnesses::of(&scene.cameras);
         let mut ground = Ground::of(&mesh, &scene.frame, &scene.cameras, &witnesses, &place)?;
-        let view_order = ViewOrder { voxel_m, memory_bytes: order.memory_bytes, threads: order.threads };
-        leave_out_floaters(scene, &mesh, &mut ground.is_seen, &view_order, |d, n| {
-            show("view", "looking through", d, n);
+        let mut depths = Depths::new(out)?;
+        let mut floaters = Floaters::new(&mesh, &scene.frame, voxel_m);
+        scene.render_each(order.memory_bytes, order.threads, |[done, of], map| {
+            floaters.add(map, &ground.is_seen);
+            depths.push(map)?;
+            show("view", "looking through", done, of);
+            Ok(())
         })?;
+        floaters.leave_out(&mut ground.is_seen);
         let gsd_m = order.gsd_m.unwrap_or(ground.gsd_m);
         let lattice = Lattice::around(place, &ground.extent, gsd_m)?;
         let place = lattice.place();
@@ -206,7 +220,7 @@ impl Shape {
         if !find_heights(&surface, &witnesses, &lattice, &mut heights, on_tile)? {
             return Err(SurveyError::NothingSeen);
         }
-        Ok(Self { lattice, heights, points, solid })
+        Ok(Self { lattice, heights, depths, points, solid })
     }
 }
 

@@ -63,6 +63,7 @@ pub(crate) fn run(args: &SurveyArgs) -> Result<()> {
         folder: args.folder.clone(),
         out: args.out.clone(),
         georeference: georeference(args)?,
+        mesh: None,
         gsd_m: args.gsd,
         contours_m: args.contours,
         volumes: args.volumes.clone(),

@@ -2,34 +2,42 @@
 //!
 //! What it knows nothing about: files, pixels of maps.
 
-use cosurf_scene::Mesh;
+use cosurf_scene::{LocalFrame, Mesh};
 use rayon::prelude::*;
 
-use super::error::SurveyError;
-use super::scene::Scene;
-use super::views::{Picture, ViewOrder, Views};
+use super::depths::DepthMap;
+use super::views::{Picture, Views};
 
-/// Sets `is_seen` of the vertices that float to false. At the edge of a roof, a view often looks past a vertex; so it must be
-/// more than half of the views. `on_view` gets the number of views that are done, and of all.
-pub(super) fn leave_out_floaters(
-    scene: &Scene,
-    mesh: &Mesh,
-    is_seen: &mut [bool],
-    order: &ViewOrder,
-    mut on_view: impl FnMut(usize, usize),
-) -> Result<(), SurveyError> {
-    let (frame, mut views) = (&scene.frame, vec![Views::default(); is_seen.len()]);
-    scene.render_each(order.memory_bytes, order.threads, |[done, of], camera, rendering| {
-        let picture = Picture::new(camera, rendering, frame.unit(), order.voxel_m);
-        let vertices = views.par_iter_mut().zip(&mesh.positions).zip(&*is_seen);
+/// The views of the vertices of a mesh, counted one map after the other.
+pub(super) struct Floaters<'a> {
+    mesh: &'a Mesh,
+    /// The frame of the mesh.
+    frame: &'a LocalFrame,
+    /// Edge length of a voxel, metres.
+    voxel_m: f64,
+    views: Vec<Views>,
+}
+
+impl<'a> Floaters<'a> {
+    /// No view yet. The mesh is in `frame`, and has voxels of `voxel_m`.
+    pub(super) fn new(mesh: &'a Mesh, frame: &'a LocalFrame, voxel_m: f64) -> Self {
+        Self { mesh, frame, voxel_m, views: vec![Views::default(); mesh.positions.len()] }
+    }
+
+    /// Counts what a camera shows of the vertices that are seen.
+    pub(super) fn add(&mut self, map: &DepthMap, is_seen: &[bool]) {
+        let (picture, frame) = (Picture::new(map, self.voxel_m), self.frame);
+        let vertices = self.views.par_iter_mut().zip(&self.mesh.positions).zip(is_seen);
         vertices.with_min_len(4096).filter(|(_, is_seen)| **is_seen).for_each(|((views, at), _)| {
             picture.add_point(views, frame.world_from_local(at.map(f64::from).into()));
         });
-        on_view(done, of);
-        Ok(())
-    })?;
-    for (is_seen, views) in is_seen.iter_mut().zip(&views) {
-        *is_seen &= views.through <= views.count;
     }
-    Ok(())
+
+    /// Sets `is_seen` of the vertices that float to false. At the edge of a roof, a view often looks past a vertex; so it
+    /// must be more than half of the views.
+    pub(super) fn leave_out(self, is_seen: &mut [bool]) {
+        for (is_seen, views) in is_seen.iter_mut().zip(&self.views) {
+            *is_seen &= views.through <= views.count;
+        }
+    }
 }

@@ -5,9 +5,9 @@
 use std::ops::ControlFlow;
 use std::path::{Path, PathBuf};
 
-use cosurf_engine::Rendering;
 use cosurf_scene::{Camera, Dataset, LocalFrame, Mesh, Splats, model, ply};
 
+use super::depths::DepthMap;
 use super::error::SurveyError;
 use crate::mesh::{FuseEvent, FuseSettings, mesh_file, render_each};
 
@@ -19,6 +19,15 @@ pub(super) struct Scene {
     pub(super) cameras: Vec<Camera>,
     /// The frame to compute in.
     pub(super) frame: LocalFrame,
+}
+
+/// A mesh that was fused from the model already.
+#[derive(Clone, Debug)]
+pub struct FusedMesh {
+    /// The file, a PLY in the world.
+    pub file: PathBuf,
+    /// Edge length of the voxels it was fused in, metres, above 0.
+    pub voxel_m: f64,
 }
 
 /// The surface of a model.
@@ -39,8 +48,15 @@ impl Scene {
         Ok(Self { model, cameras, frame })
     }
 
+    /// Reads the mesh.
+    pub(super) fn read_mesh(&self, of: &FusedMesh) -> Result<Relief, SurveyError> {
+        let mut mesh = Mesh::read(&of.file)?.into_frame(&self.frame);
+        mesh.normals = Vec::new(); // nothing here needs them
+        Ok(Relief { mesh, voxel_m: of.voxel_m })
+    }
+
     /// Fuses the mesh.
-    pub(super) fn mesh(
+    pub(super) fn fuse_mesh(
         &self,
         memory_bytes: u64,
         threads: usize,
@@ -57,17 +73,17 @@ impl Scene {
         Ok(Relief { voxel_m: fused.voxel_m * self.frame.unit(), mesh: fused.mesh })
     }
 
-    /// Calls `visit` with the number of renderings so far and in all, each camera, in the world, and its rendering, whose
-    /// lengths are in units of the frame. Pictures shrink to fit into the memory.
+    /// Calls `visit` with the number of renderings so far and in all, and what each camera shows. Pictures shrink to fit into
+    /// the memory.
     pub(super) fn render_each(
         &self,
         memory_bytes: u64,
         threads: usize,
-        mut visit: impl FnMut([usize; 2], &Camera, &Rendering) -> Result<(), SurveyError>,
+        mut visit: impl FnMut([usize; 2], &DepthMap) -> Result<(), SurveyError>,
     ) -> Result<(), SurveyError> {
         let (model, cameras) = (self.model.clone(), self.local_cameras());
         render_each(model, &self.frame, &cameras, memory_bytes, threads, |counts, camera, rendering| {
-            visit(counts, &self.frame.world_camera(camera), rendering)
+            visit(counts, &DepthMap::of(&self.frame.world_camera(camera), rendering, self.frame.unit()))
         })
     }
 

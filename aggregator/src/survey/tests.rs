@@ -13,7 +13,7 @@ use cosurf_tests::skips::skip;
 use glam::{DVec2, DVec3};
 
 use super::colors::Painter;
-use super::floaters::leave_out_floaters;
+use super::floaters::Floaters;
 use super::heights::{Ground, Surface, find_heights};
 use super::lattice::Lattice;
 use super::place::Place;
@@ -21,9 +21,8 @@ use super::quadtree::Quadtree;
 use super::scene::Scene;
 use super::splats::splats_from_above;
 use super::tiles::Tiles;
-use super::views::ViewOrder;
 use super::witnesses::Witnesses;
-use super::{SurveyError, SurveyOrder, survey};
+use super::{FusedMesh, SurveyError, SurveyEvent, SurveyOrder, survey};
 use crate::testing::above;
 
 /// Metres up per metre east.
@@ -63,6 +62,7 @@ fn order(folder: &Path) -> SurveyOrder {
         folder: folder.into(),
         out: folder.join("out"),
         georeference: georeference(),
+        mesh: None,
         gsd_m: Some(0.1),
         contours_m: 0.5,
         volumes: None,
@@ -73,7 +73,7 @@ fn order(folder: &Path) -> SurveyOrder {
 
 /// The heights of a map with tiles of this side, px, pixel by pixel.
 fn heights(scene: &Scene, folder: &Path, tile_px: u32) -> (Lattice, Vec<f32>) {
-    let relief = scene.mesh(MEMORY_BYTES, 2, |_| ()).unwrap();
+    let relief = scene.fuse_mesh(MEMORY_BYTES, 2, |_| ()).unwrap();
     let witnesses = Witnesses::of(&scene.cameras);
     let place = Place::new(&georeference()).unwrap();
     let ground = Ground::of(&relief.mesh, &scene.frame, &scene.cameras, &witnesses, &place).unwrap();
@@ -159,6 +159,28 @@ fn all_files_are_written_and_readers_understand_them() {
     assert!(levels.contains(&70.0) && levels.contains(&71.0) && levels.len() >= 5, "{levels:?}");
     check_with_gdal(&out("dsm.tif"), &out("ortho.tif"));
     validated::check(&order.out, accuracy.points);
+}
+
+#[test]
+fn a_mesh_that_is_there_is_not_fused_again() {
+    let folder = tempfile::tempdir().unwrap();
+    model(folder.path());
+    let scene = Scene::open(folder.path()).unwrap();
+    let relief = scene.fuse_mesh(MEMORY_BYTES, 2, |_| ()).unwrap();
+    let (file, voxel_m) = (folder.path().join("mesh.ply"), relief.voxel_m);
+    relief.mesh.out_of_frame(&scene.frame).write(&file).unwrap();
+    let (mut fusions, mut rendered) = (0, 0);
+    let order = SurveyOrder { mesh: Some(FusedMesh { file, voxel_m }), ..order(folder.path()) };
+    let count = |event| match event {
+        SurveyEvent::Fusion(_) => fusions += 1,
+        SurveyEvent::Counted { what: "view", stage: "looking through", .. } => rendered += 1,
+        SurveyEvent::Counted { .. } => {}
+    };
+    let accuracy = survey(&order, count).unwrap();
+    assert_eq!((fusions, rendered, accuracy.voxel_m), (0, cameras().len(), voxel_m));
+    let fused = survey(&SurveyOrder { mesh: None, ..order }, |_| ()).unwrap();
+    assert_eq!((accuracy.points, accuracy.triangles), (fused.points, fused.triangles));
+    assert!((accuracy.height_error_m - fused.height_error_m).abs() < 1e-3);
 }
 
 #[test]
@@ -284,7 +306,12 @@ fn vertices_that_most_cameras_look_through_are_left_out() {
     let local = |at: [f64; 3]| scene.frame.local_from_world(at.into()).as_vec3().to_array();
     let mesh = Mesh { positions: at.map(local).to_vec(), ..Mesh::default() };
     let mut is_seen = vec![true; 5];
-    let order = ViewOrder { voxel_m: 0.1, memory_bytes: MEMORY_BYTES, threads: 2 };
-    leave_out_floaters(&scene, &mesh, &mut is_seen, &order, |_, _| ()).unwrap();
+    let mut floaters = Floaters::new(&mesh, &scene.frame, 0.1);
+    let rendered = scene.render_each(MEMORY_BYTES, 2, |_, map| {
+        floaters.add(map, &is_seen);
+        Ok(())
+    });
+    rendered.unwrap();
+    floaters.leave_out(&mut is_seen);
     assert_eq!(is_seen, [true, false, true, false, true], "what the surface hides is not looked through");
 }

@@ -8,21 +8,18 @@
 //! Where to start reading: [`find_views`].
 
 use bytemuck::{Pod, Zeroable};
-use cosurf_engine::Rendering;
-use cosurf_scene::{Camera, Frustum};
+use cosurf_scene::Frustum;
 use glam::{DVec2, DVec3};
 use rayon::prelude::*;
 
+use super::depths::{DepthMap, Depths};
 use super::error::SurveyError;
 use super::lattice::Lattice;
 use super::place::Column;
-use super::scene::Scene;
 use super::tiles::Tiles;
 
 /// A depth farther than this many voxels from the surface shows another surface: the fusion's truncation is as wide.
 const SAME_VOXELS: f64 = 4.0;
-/// Below this alpha a picture shows too little to have a depth.
-const ALPHA_LEAST: f32 = 0.5;
 
 /// The views of a pixel.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Pod, Zeroable)]
@@ -49,23 +46,14 @@ impl Views {
     }
 }
 
-/// How scenes are rendered.
-pub(super) struct ViewOrder {
-    /// Edge length of a voxel, metres.
-    pub(super) voxel_m: f64,
-    /// Limit on the memory of the process, bytes.
-    pub(super) memory_bytes: u64,
-    /// Number of threads, at least 1.
-    pub(super) threads: usize,
-}
-
-/// Finds the views of all pixels. `on_view` gets the number of views that are done, and of all.
+/// Finds the views of all pixels, of a surface with voxels of `voxel_m`. `on_view` gets the number of views that are done,
+/// and of all.
 pub(super) fn find_views(
-    scene: &Scene,
+    depths: Depths,
     lattice: &Lattice,
     heights: &mut Tiles<f32>,
     views: &mut Tiles<Views>,
-    order: &ViewOrder,
+    voxel_m: f64,
     mut on_view: impl FnMut(usize, usize),
 ) -> Result<(), SurveyError> {
     let mut balls = Vec::with_capacity(heights.len());
@@ -74,10 +62,9 @@ pub(super) fn find_views(
         views.write(tile, &vec![Views::default(); window.pixels()])?;
         balls.push(ball(&lattice.columns(window)?, &heights.read(tile)?));
     }
-    let unit_m = scene.frame.unit();
-    scene.render_each(order.memory_bytes, order.threads, |[done, of], camera, rendering| {
-        let frustum = Frustum::new(camera);
-        let picture = Picture::new(camera, rendering, unit_m, order.voxel_m);
+    depths.each(|[done, of], map| {
+        let frustum = Frustum::new(&map.camera);
+        let picture = Picture::new(map, voxel_m);
         for (tile, ball) in balls.iter().enumerate() {
             let Some((center, radius_m)) = *ball else { continue };
             if frustum.touches(center, radius_m) {
@@ -108,18 +95,15 @@ fn ball(columns: &[Column], heights: &[f32]) -> Option<(DVec3, f64)> {
 
 /// What a camera of the world shows.
 pub(super) struct Picture<'a> {
-    camera: &'a Camera,
-    rendering: &'a Rendering,
-    /// Length of the rendering's unit, metres.
-    unit_m: f64,
+    map: &'a DepthMap,
     /// Largest difference of depths that show the same surface, metres.
     same_m: f64,
 }
 
 impl<'a> Picture<'a> {
-    /// What `camera` shows: `rendering`, whose lengths are in units of `unit_m` metres. The surface has voxels of `voxel_m`.
-    pub(super) fn new(camera: &'a Camera, rendering: &'a Rendering, unit_m: f64, voxel_m: f64) -> Self {
-        Self { camera, rendering, unit_m, same_m: SAME_VOXELS * voxel_m }
+    /// Compares a camera's depths with a surface that has voxels of `voxel_m`.
+    pub(super) fn new(map: &'a DepthMap, voxel_m: f64) -> Self {
+        Self { map, same_m: SAME_VOXELS * voxel_m }
     }
 
     /// Counts the picture if it shows the surface of a pixel.
@@ -132,9 +116,9 @@ impl<'a> Picture<'a> {
 
     /// Counts the picture if it shows a point of the world, or looks through it.
     pub(super) fn add_point(&self, views: &mut Views, at: DVec3) {
-        let Some((px, depth_m)) = self.camera.project_with_depth(at) else { return };
+        let Some((px, depth_m)) = self.map.camera.project_with_depth(at) else { return };
         let Some(shown_m) = self.depth_m(px) else { return };
-        let eye = self.camera.cam_from_world.center();
+        let eye = self.map.camera.cam_from_world.center();
         // Along the ray, by how much the point that the picture shows is higher.
         let higher_m = (shown_m / depth_m - 1.0) * (at.z - eye.z);
         if (shown_m - depth_m).abs() * eye.distance(at) / depth_m <= self.same_m {
@@ -147,13 +131,12 @@ impl<'a> Picture<'a> {
 
     /// The depth at the nearest pixel, metres.
     fn depth_m(&self, px: DVec2) -> Option<f64> {
-        if !self.camera.contains(px) {
+        let DepthMap { camera, depth_m } = self.map;
+        if !camera.contains(px) {
             return None;
         }
-        let [width, _] = self.rendering.size_px;
-        let i = px.y as usize * width as usize + px.x as usize;
-        let depth = f64::from(*self.rendering.depth.get(i)?);
-        (depth > 0.0 && self.rendering.alpha[i] >= ALPHA_LEAST).then_some(depth * self.unit_m)
+        let i = px.y as usize * camera.size_px[0] as usize + px.x as usize;
+        depth_m.get(i).copied().map(f64::from).filter(|depth_m| *depth_m > 0.0)
     }
 }
 
@@ -166,14 +149,8 @@ mod tests {
     fn views_count_where_they_show_the_surface() {
         let camera = above(0.0);
         let [width, height] = camera.size_px.map(|side| side as usize);
-        let rendering = Rendering {
-            size_px: camera.size_px,
-            rgb: Vec::new(),
-            alpha: vec![1.0; width * height],
-            depth: vec![9.9; width * height],
-            normal: Vec::new(),
-        };
-        let picture = Picture { camera: &camera, rendering: &rendering, unit_m: 1.0, same_m: 0.4 };
+        let map = DepthMap { camera, depth_m: vec![9.9; width * height] };
+        let picture = Picture { map: &map, same_m: 0.4 };
         // The camera is 10 m above the ground, so the picture shows a surface 0.1 m above it.
         let spread = |x: f64, height: f32| {
             let mut views = Views::default();
