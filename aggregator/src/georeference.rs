@@ -24,21 +24,25 @@ pub enum GeoreferenceError {
     },
 }
 
-/// The georeference of the first of these folders that has one; `None` if none has. All that have one must agree on the
-/// origin, because their worlds are about it.
+/// The georeference that these folders have in common; `None` if none has one. All that have one must agree on the origin,
+/// because their worlds are about it. If several tell how well their place is known, the result has what each of them tells.
 pub fn common_georeference(folders: &[PathBuf]) -> Result<Option<Georeference>, GeoreferenceError> {
-    let mut common: Option<(&PathBuf, Georeference)> = None;
+    let mut known: Vec<(&PathBuf, Georeference)> = Vec::new();
     for folder in folders {
-        match (&common, Georeference::of_folder(folder)?) {
-            (Some((first, known)), Some(other)) if known.origin != other.origin => {
-                let (first, second) = ((*first).clone(), folder.clone());
-                return Err(GeoreferenceError::OtherOrigin { first, second });
-            }
-            (None, Some(found)) => common = Some((folder, found)),
-            _ => {}
+        let Some(found) = Georeference::of_folder(folder)? else { continue };
+        if let Some((first, _)) = known.first().filter(|(_, common)| common.origin != found.origin) {
+            let (first, second) = ((*first).clone(), folder.clone());
+            return Err(GeoreferenceError::OtherOrigin { first, second });
         }
+        known.push((folder, found));
     }
-    Ok(common.map(|(_, georeference)| georeference))
+    if known.len() < 2 {
+        return Ok(known.pop().map(|(_, georeference)| georeference));
+    }
+    let take =
+        |(folder, its): &mut (&PathBuf, Georeference)| its.take_residuals(&folder.display().to_string());
+    let drones = known.iter_mut().flat_map(take).collect();
+    Ok(known.into_iter().next().map(|(_, common)| Georeference { drones, ..common }))
 }
 
 /// Writes `geo.json` to a folder, atomically, if there is a georeference.
@@ -51,7 +55,7 @@ pub fn write_georeference(georeference: Option<&Georeference>, folder: &Path) ->
 #[cfg(test)]
 mod tests {
     #![allow(clippy::unwrap_used)]
-    use cosurf_geo::Geodetic;
+    use cosurf_geo::{Geodetic, GpsResiduals, PointResidual};
 
     use super::*;
 
@@ -68,5 +72,41 @@ mod tests {
         write_georeference(Some(&there), &paths[2]).unwrap();
         let error = common_georeference(&paths).unwrap_err().to_string();
         assert!(error.contains("different origins in geo.json"), "{error}");
+    }
+
+    #[test]
+    fn a_merged_place_has_the_residuals_of_all_drones_by_name() {
+        let folder = tempfile::tempdir().unwrap();
+        let origin = Geodetic { latitude_deg: 53.3, longitude_deg: 16.4, height_m: 70.0 };
+        let gps = |horizontal_rms_m| GpsResiduals {
+            photographs: 9,
+            agreeing: 9,
+            horizontal_rms_m,
+            vertical_rms_m: 4.0,
+        };
+        let point = PointResidual { name: "A".into(), photographs: 3, residual_m: [0.01, -0.02, 0.05] };
+        let bare = Georeference::at(origin).unwrap();
+        let with_gps = |rms_m| Georeference { gps: Some(gps(rms_m)), ..bare.clone() };
+        let east = Georeference { check: vec![point.clone()], ..with_gps(2.0) };
+        let places = [("east", east), ("west", with_gps(3.0)), ("plan", bare.clone())];
+        let folders = places.map(|(name, place)| {
+            let path = folder.path().join(name);
+            std::fs::create_dir(&path).unwrap();
+            write_georeference(Some(&place), &path).unwrap();
+            path
+        });
+        let merged = common_georeference(&folders).unwrap().unwrap();
+        assert!(merged.gps.is_none() && merged.check.is_empty(), "{merged:?}");
+        let [east, west] = &merged.drones[..] else { panic!("{merged:?}") };
+        let name = |path: &Path| path.display().to_string();
+        assert_eq!((&east.name, east.gps, &east.check), (&name(&folders[0]), Some(gps(2.0)), &vec![point]));
+        assert_eq!((&west.name, west.gps), (&name(&folders[1]), Some(gps(3.0))));
+        // A merge of merges keeps all of them.
+        let site = folder.path().join("site");
+        std::fs::create_dir(&site).unwrap();
+        write_georeference(Some(&merged), &site).unwrap();
+        let whole = common_georeference(&[site, folders[1].clone()]).unwrap().unwrap();
+        assert_eq!(whole.drones.len(), 3);
+        assert!(whole.drones[0].name.ends_with("east") && whole.drones[0].name.contains("site"), "{whole:?}");
     }
 }

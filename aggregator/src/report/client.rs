@@ -7,7 +7,7 @@ use std::fmt::Write;
 use std::path::{Path, PathBuf};
 use std::time::UNIX_EPOCH;
 
-use cosurf_geo::{Geodetic, Georeference, PointResidual};
+use cosurf_geo::{DroneResiduals, Geodetic, Georeference, PointResidual};
 use time::OffsetDateTime;
 
 use super::embed::{Captioned, base64};
@@ -133,9 +133,10 @@ fn walk(client: &Client) -> String {
 
 /// The residuals of GPS, control and check points in a table; empty without a georeference.
 fn accuracy(georeference: Option<&Georeference>) -> String {
-    let Some(Georeference { gps, control, check, .. }) = georeference else { return String::new() };
+    let Some(georeference) = georeference else { return String::new() };
     let mut html = String::from("<h2>Accuracy</h2>\n");
-    if gps.is_none() && control.is_empty() && check.is_empty() {
+    let drones = georeference.clone().take_residuals("");
+    if drones.is_empty() {
         return html + "<p>The place was given by hand; nothing was measured against it.</p>\n";
     }
     html.push_str(&frame::scroll("Accuracy"));
@@ -143,17 +144,29 @@ fn accuracy(georeference: Option<&Georeference>) -> String {
         "<table class=\"plain\"><thead><tr><th>root mean square of residuals</th><th>number</th>\
          <th>horizontal</th><th>vertical</th></tr></thead><tbody>\n",
     );
-    if let Some(gps) = gps {
-        let _ = writeln!(html, "{}", row("GPS", gps.agreeing, gps.horizontal_rms_m, gps.vertical_rms_m));
-    }
-    for (name, points) in [("control points", control), ("check points", check)] {
-        if !points.is_empty() {
-            let [east, north, up] = PointResidual::rms_m(points);
-            let _ = writeln!(html, "{}", row(name, points.len(), east.hypot(north), up));
-        }
+    for drone in &drones {
+        push_rows(&mut html, drone);
     }
     html + "</tbody></table></div>\n<p class=\"soft\">Check points took no part in the fit: their residuals are the \
             measured accuracy.</p>\n"
+}
+
+/// Adds the rows of a drone; those of a model that was not merged from several have no drone's name.
+fn push_rows(html: &mut String, DroneResiduals { name, gps, control, check, .. }: &DroneResiduals) {
+    let whose = match name.trim_start_matches('/') {
+        "" => String::new(),
+        name => format!(" of {}", escape(name)),
+    };
+    if let Some(gps) = gps {
+        let name = format!("GPS{whose}");
+        let _ = writeln!(html, "{}", row(&name, gps.agreeing, gps.horizontal_rms_m, gps.vertical_rms_m));
+    }
+    for (what, points) in [("control points", control), ("check points", check)] {
+        if !points.is_empty() {
+            let [east, north, up] = PointResidual::rms_m(points);
+            let _ = writeln!(html, "{}", row(&format!("{what}{whose}"), points.len(), east.hypot(north), up));
+        }
+    }
 }
 
 fn row(name: &str, count: usize, horizontal_m: f64, vertical_m: f64) -> String {
@@ -216,6 +229,25 @@ pub(crate) mod tests {
         fs::write(folder.path().join("survey/accuracy.json"), "{}").unwrap();
         assert!(section(&client, "x").contains("href=\"survey/dsm.tif\""));
         assert!(script.contains("id=\"viewer-model\">H4sI") && script.contains("startViewer"));
+    }
+
+    #[test]
+    fn residuals_of_merged_drones_are_told_with_their_names() {
+        let gps = GpsResiduals { photographs: 9, agreeing: 8, horizontal_rms_m: 1.25, vertical_rms_m: 2.5 };
+        let drone = |name: &str| DroneResiduals {
+            name: name.into(),
+            gps: Some(gps),
+            control: Vec::new(),
+            uncertainty: None,
+            check: Vec::new(),
+        };
+        let origin = cosurf_geo::Geodetic { latitude_deg: 53.3, longitude_deg: 16.4, height_m: 70.0 };
+        let drones = vec![drone("east"), drone("<west>")];
+        let html = accuracy(Some(&Georeference { drones, ..Georeference::at(origin).unwrap() }));
+        assert!(html.contains("<td>GPS of east</td><td>8</td><td>1.250 m</td>"), "{html}");
+        assert!(html.contains("GPS of &lt;west&gt;") && !html.contains("by hand"), "{html}");
+        let html = accuracy(Some(&Georeference { gps: Some(gps), ..Georeference::at(origin).unwrap() }));
+        assert!(html.contains("<td>GPS</td>"), "{html}");
     }
 
     #[test]

@@ -2,7 +2,7 @@
 //!
 //! What it knows nothing about: how anything was computed; it only states it.
 
-use cosurf_geo::{Geodetic, Georeference, GpsResiduals, PointResidual};
+use cosurf_geo::{DroneResiduals, Geodetic, Georeference, GpsResiduals, PointResidual};
 use serde::Serialize;
 
 use super::cog::HEIGHTS;
@@ -51,6 +51,9 @@ pub struct Accuracy {
     pub control: Option<PointsAccuracy>,
     /// Points on the ground that were held out; absent if there are none. Only these tell the accuracy on the ground.
     pub check: Option<PointsAccuracy>,
+    /// Of a model that was merged from those of several drones: what is known of the place of each. The fields above are then
+    /// absent. Empty otherwise.
+    pub drones: Vec<DroneResiduals>,
     /// For each file: how it was made.
     pub made: Vec<MadeFile>,
 }
@@ -113,6 +116,7 @@ pub(super) fn accuracy_of(
         gps: georeference.gps,
         control: PointsAccuracy::of(&georeference.control),
         check: PointsAccuracy::of(&georeference.check),
+        drones: georeference.drones.clone(),
         made: made_files(contours_m, has_volumes),
     }
 }

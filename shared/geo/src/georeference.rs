@@ -29,6 +29,28 @@ pub struct Georeference {
     /// Points on the ground that were held out, to tell how accurate the rest is.
     #[serde(default, skip_serializing_if = "Vec::is_empty")]
     pub check: Vec<PointResidual>,
+    /// Of a model that was merged from several: how well the place of each is known. The fields above are then empty.
+    #[serde(default, skip_serializing_if = "Vec::is_empty")]
+    pub drones: Vec<DroneResiduals>,
+}
+
+/// How well the place of one of several merged models is known.
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
+pub struct DroneResiduals {
+    /// The folder that the model came from.
+    pub name: String,
+    /// As in [`Georeference`].
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub gps: Option<GpsResiduals>,
+    /// As in [`Georeference`].
+    #[serde(default, skip_serializing_if = "Vec::is_empty")]
+    pub control: Vec<PointResidual>,
+    /// As in [`Georeference`].
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub uncertainty: Option<FitUncertainty>,
+    /// As in [`Georeference`].
+    #[serde(default, skip_serializing_if = "Vec::is_empty")]
+    pub check: Vec<PointResidual>,
 }
 
 /// How well the GPS of photographs agrees with their poses.
@@ -88,7 +110,22 @@ impl Georeference {
     pub fn at(origin: Geodetic) -> Result<Self, GeoError> {
         origin.check()?;
         let epsg = Projection::utm_of(&origin).epsg();
-        Ok(Self { origin, epsg, gps: None, uncertainty: None, control: Vec::new(), check: Vec::new() })
+        let (control, check, drones) = (Vec::new(), Vec::new(), Vec::new());
+        Ok(Self { origin, epsg, gps: None, uncertainty: None, control, check, drones })
+    }
+
+    /// Moves what tells how well the place is known from `self`: one entry called `name`, or those of the models that it was
+    /// merged from, or none if nothing is known.
+    pub fn take_residuals(&mut self, name: &str) -> Vec<DroneResiduals> {
+        let Self { gps, control, uncertainty, check, drones, .. } = self;
+        let mut all = std::mem::take(drones);
+        all.iter_mut().for_each(|drone| drone.name = format!("{name}/{}", drone.name));
+        let [control, check] = [control, check].map(std::mem::take);
+        let (gps, uncertainty) = (gps.take(), uncertainty.take());
+        if gps.is_some() || uncertainty.is_some() || !control.is_empty() || !check.is_empty() {
+            all.push(DroneResiduals { name: name.into(), gps, control, uncertainty, check });
+        }
+        all
     }
 
     /// The georeference in a folder; `None` if it has none. Other programs write other files of this name: one without

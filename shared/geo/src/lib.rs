@@ -47,7 +47,7 @@ pub use error::GeoError;
 pub use fit::{Fit, Judged, Sighting, Up, fit};
 pub use gcp::{ControlPoint, Mark, read_gcp_list};
 pub use geo_txt::{PhotoPlace, read_geo_txt};
-pub use georeference::{FitUncertainty, Georeference, GpsResiduals, PointResidual};
+pub use georeference::{DroneResiduals, FitUncertainty, Georeference, GpsResiduals, PointResidual};
 pub use photo::{Gps, PhotoInfo};
 pub use projection::Projection;
 pub use similarity::Similarity;
