@@ -29,7 +29,7 @@ use std::path::{Path, PathBuf};
 
 use cosurf_contract::{AgentEvent, IngestReport, IngestStage};
 use cosurf_geo::{Geodetic, Georeference};
-use cosurf_scene::{Dataset, FolderLock, SceneError};
+use cosurf_scene::{Dataset, FolderLock, SceneError, files};
 
 use colmap::Colmap;
 pub use error::IngestError;
@@ -67,6 +67,13 @@ pub struct Ingested {
     pub report: IngestReport,
     /// The place; `None` if nothing tells it.
     pub georeference: Option<Georeference>,
+}
+
+/// Whether a dataset, given by its folder or file, was made of photographs of which nothing tells where on the earth they
+/// were taken. Its frame is then one of its own. Of other datasets, the user knows the frame.
+pub fn is_without_place(data: &Path) -> bool {
+    let folder = files::folder_of(data);
+    publishing::is_finished(folder) && !folder.join(Georeference::FILE).is_file()
 }
 
 /// Makes a dataset. `tell` gets progress, and what is left out.

@@ -421,6 +421,7 @@ mod tests {
             let publication = Publication {
                 identity,
                 frame: &LocalFrame::WORLD,
+                is_placed: true,
                 splats,
                 cameras: &[],
                 base: None,

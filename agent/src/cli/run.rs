@@ -14,6 +14,7 @@ use std::time::{Duration, Instant, SystemTime, UNIX_EPOCH};
 use anyhow::{Context, Result, ensure};
 use clap::Args;
 use cosurf_agent::arrival::Arrival;
+use cosurf_agent::ingest;
 use cosurf_agent::publish::{Publication, Sharing, global_ply, publish};
 use cosurf_agent::session::{self, Split, TrainPlan};
 use cosurf_agent::status::StatusBoard;
@@ -329,6 +330,7 @@ impl Job {
         let publication = Publication {
             identity,
             frame,
+            is_placed: !ingest::is_without_place(&self.plan.data),
             splats,
             cameras,
             base: base.as_ref(),

@@ -161,6 +161,7 @@ fn a_flight_lies_where_its_places_say() {
     }
     assert!(dataset.points[0].position.length() < 0.05);
     let geo = Georeference::of_folder(&flight.at("data")).unwrap().unwrap();
+    assert!(!is_without_place(&flight.at("data")));
     assert_eq!(geo.origin, ORIGIN);
     assert_eq!(geo.gps.unwrap().agreeing, 4);
 }
@@ -171,6 +172,7 @@ fn without_places_only_up_is_known() {
     fs::remove_file(flight.at("photos/geo.txt")).unwrap();
     let (ingested, calls, _) = flight.run(&flight.plan());
     assert!(!ingested.unwrap().report.georeferenced);
+    assert!(is_without_place(&flight.at("data")) && !is_without_place(&flight.at("photographs")));
     assert_eq!(calls[1], "exhaustive_matcher");
     assert!(!flight.at("data/geo.json").exists());
     let dataset = Dataset::open(&flight.at("data")).unwrap();

@@ -38,7 +38,8 @@ pub(super) fn offer(
         }
     }?;
     let model = number_of(&body, publication)?;
-    Ok(Offer::from_body(publication.identity.device, model, kind, cameras.len() as u32, body)?)
+    let offer = Offer::from_body(publication.identity.device, model, kind, cameras.len() as u32, body)?;
+    Ok(if publication.is_placed { offer } else { offer.without_place() })
 }
 
 /// The number of the model whose encoded bytes are `body`. A new number is written to disk before it is returned.

@@ -14,6 +14,8 @@ pub struct Publication<'a> {
     pub identity: Identity,
     /// The frame of the model and of its cameras.
     pub frame: &'a LocalFrame,
+    /// Whether the model lies in the world frame; false if its photographs were posed without GPS and control points.
+    pub is_placed: bool,
     /// The trained model.
     pub splats: &'a Splats,
     /// The training cameras, scaled to the picture sizes that training used.

@@ -108,9 +108,11 @@ pub(super) fn find_frames(
     let near: BTreeSet<[usize; 2]> = pairs().filter(|models| meet(*models, &identity)).collect();
     let (mut edges, mut links) = (Vec::new(), LinkFile::new(workspace.scratch)?);
     measure(models, &near, &identity, shifts, is_given_up, &mut edges, &mut links)?;
-    let may_register = |models: [usize; 2]| !vouched || near.contains(&models);
-    register_groups(models, &may_register, &mut edges, &mut links, workspace.threads, is_given_up)?;
     let is_placed: Vec<bool> = (0..count).map(|i| locals.is_placed(i)).collect();
+    // The frame of a model without a place is its own, whatever is said of the others.
+    let is_known = |models: [usize; 2]| vouched && models.iter().all(|i| is_placed[*i]);
+    let may_register = |models: [usize; 2]| !is_known(models) || near.contains(&models);
+    register_groups(models, &may_register, &mut edges, &mut links, workspace.threads, is_given_up)?;
     let mut frames = lay(&edges, &links, &is_placed)?;
     // Pairs of models that move are measured again, now with pictures from the same places. Models that were far apart
     // before may share ground now.

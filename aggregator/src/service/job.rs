@@ -292,6 +292,10 @@ impl Locals for Stored {
     fn is_compressed(&self, index: usize) -> bool {
         self.headers[index].kind == ModelKind::Compressed
     }
+
+    fn is_placed(&self, index: usize) -> bool {
+        self.headers[index].is_placed()
+    }
 }
 
 impl Job {

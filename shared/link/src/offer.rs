@@ -119,6 +119,12 @@ impl Offer {
         Ok(Self { header, body })
     }
 
+    /// Tells that the model has no place in the world: its coordinates are in a frame of its own.
+    pub fn without_place(mut self) -> Self {
+        self.header.codec = BodyCodec::PackedUnplaced;
+        self
+    }
+
     /// Sets the world frame of the model.
     pub fn in_frame(mut self, frame: FrameId) -> Self {
         self.header.frame = frame;

@@ -97,7 +97,7 @@ pub struct ModelHeader {
     pub kind: ModelKind,
     /// The world frame of the model's coordinates.
     pub frame: FrameId,
-    /// The layout of the body.
+    /// The layout of the body, and whether its coordinates have a place in the world.
     pub codec: BodyCodec,
     /// Degree of the spherical harmonics, 0 to 3.
     pub sh_degree: u8,
@@ -134,11 +134,14 @@ pub enum ModelKind {
     Manifest,
 }
 
-/// The layout of a body.
+/// The layout of a body, and whether its coordinates have a place in the world.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
 pub enum BodyCodec {
     /// [`crate::body`]: quantised to integers, in independently decodable packs, most important first.
     Packed,
+    /// As [`Self::Packed`]; and neither GPS nor control points tell where the model lies, so its coordinates are in a frame of
+    /// its own. Programs before 0.2 do not know it, and send all models as [`Self::Packed`].
+    PackedUnplaced,
 }
 
 /// A part of a body.
@@ -336,6 +339,11 @@ impl fmt::Display for WireError {
 impl core::error::Error for WireError {}
 
 impl ModelHeader {
+    /// Whether the model lies in the world frame, as far as its device knows.
+    pub fn is_placed(&self) -> bool {
+        self.codec != BodyCodec::PackedUnplaced
+    }
+
     /// Number of chunks of the body. It is 0 only if [`Self::check`] fails.
     pub fn chunks(&self) -> u32 {
         if self.chunk_bytes == 0 {

@@ -50,6 +50,24 @@ fn camera_bytes(count: usize) -> Vec<u8> {
 }
 
 #[test]
+fn headers_tell_models_without_a_place_and_those_of_0_1_have_one() {
+    let encoded = |codec| {
+        let mut buffer = [0; MAX_CONTROL_BYTES];
+        let message = Message::Header(ModelHeader { codec, ..header() });
+        message.encode(&mut buffer).unwrap().to_vec()
+    };
+    // `messages_have_these_bytes` has the bytes of 0.1.
+    let [before, now] = [BodyCodec::Packed, BodyCodec::PackedUnplaced].map(encoded);
+    let differs: Vec<usize> = (0..before.len() - 4).filter(|&i| before[i] != now[i]).collect();
+    assert!(before.len() == now.len() && differs.len() == 1, "one byte tells it: {differs:?}");
+    let placed = |bytes: &[u8]| match Message::decode_stored(bytes).unwrap() {
+        Message::Header(header) => header.is_placed(),
+        other => panic!("{other:?}"),
+    };
+    assert!(placed(&before) && !placed(&now));
+}
+
+#[test]
 fn flights_with_invalid_cameras_are_refused() {
     let (device, frame) = (DeviceId::new("d").unwrap(), FrameId::default());
     let decoded = |cameras: &[u8]| {
