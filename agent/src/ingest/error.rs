@@ -14,12 +14,14 @@ const NO_MODEL: &str = "failed to create sparse model";
 #[non_exhaustive]
 pub enum IngestError {
     /// A folder holds too few photographs.
-    #[error("{}: has {found} usable photographs, JPEG or PNG; a dataset takes at least 3 that overlap", folder.display())]
+    #[error("{}: has {found} usable photographs, JPEG or PNG; a dataset takes at least 3 that overlap{unusable}", folder.display())]
     TooFew {
         /// The folder.
         folder: PathBuf,
         /// Number of usable photographs.
         found: usize,
+        /// The first unusable photograph and the reason, after a semicolon; empty if there is none.
+        unusable: String,
     },
     /// The folder to write to holds what is not ours.
     #[error("{}: is not empty, and has neither .ingest nor ingest.json of an earlier run; name another folder with --out", folder.display())]

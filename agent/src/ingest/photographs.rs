@@ -72,7 +72,13 @@ impl Photographs {
     /// An error if there are too few.
     pub(super) fn enough(self) -> Result<Self, IngestError> {
         let found = self.usable.len();
-        if found < 3 { Err(IngestError::TooFew { folder: self.folder, found }) } else { Ok(self) }
+        if found >= 3 {
+            return Ok(self);
+        }
+        let Self { folder, left_out, .. } = self;
+        // Names may have line breaks.
+        let unusable = left_out.first().map(|(name, reason)| format!("; {}: {reason}", name.escape_debug()));
+        Err(IngestError::TooFew { folder, found, unusable: unusable.unwrap_or_default() })
     }
 
     /// Number of usable photographs with GPS.
@@ -212,6 +218,10 @@ mod tests {
             photograph(&folder.path().join("images").join(name), [32, 24]);
             let error = Photographs::read(folder.path()).err().unwrap().to_string();
             assert!(error.contains(&format!("images: has {count} usable photographs")), "{error}");
+            assert!(error.ends_with("overlap"), "{error}");
         }
+        photograph(&folder.path().join("images/two\nlines.jpg"), [32, 24]);
+        let error = Photographs::read(folder.path()).err().unwrap().to_string();
+        assert!(error.contains(r"overlap; two\nlines.jpg: ") && error.contains("rename it"), "{error}");
     }
 }
