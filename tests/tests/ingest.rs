@@ -8,7 +8,7 @@ use std::process::{Command, Stdio};
 
 use cosurf_city::{City, CitySettings, RawSettings};
 use cosurf_scene::colmap::{self, Form};
-use cosurf_scene::{Dataset, View};
+use cosurf_scene::{Dataset, Picture, View};
 use cosurf_tests::programs::program;
 use cosurf_tests::skips::skip;
 
@@ -16,6 +16,15 @@ use cosurf_tests::skips::skip;
 const CITY: CitySettings = CitySettings { seed: 3, extent_m: 40.0, views: 12, size_px: [400, 300] };
 /// Largest error of a camera's place: GPS here is a quarter of a metre off along each axis.
 const OFF_MAX_M: f64 = 1.0;
+
+/// Whether COLMAP is there; otherwise the test is skipped.
+fn has_colmap() -> bool {
+    let help = Command::new("colmap").arg("help").stdout(Stdio::null()).stderr(Stdio::null()).status();
+    if help.is_err() {
+        skip("REQUIRE_COLMAP", "colmap is not installed");
+    }
+    help.is_ok()
+}
 
 /// The true poses.
 fn truth(photographs: &Path) -> Vec<View> {
@@ -26,8 +35,8 @@ fn truth(photographs: &Path) -> Vec<View> {
 
 #[test]
 fn photographs_get_the_poses_they_were_taken_from() {
-    if Command::new("colmap").arg("help").stdout(Stdio::null()).stderr(Stdio::null()).status().is_err() {
-        return skip("REQUIRE_COLMAP", "colmap is not installed");
+    if !has_colmap() {
+        return;
     }
     let folder = tempfile::tempdir().unwrap();
     let (photographs, data) = (folder.path().join("photographs"), folder.path().join("data"));
@@ -51,4 +60,83 @@ fn photographs_get_the_poses_they_were_taken_from() {
         let (off_m, turned) = (is.center().distance(was.center()), is.forward().angle_between(was.forward()));
         assert!(off_m < OFF_MAX_M && turned.to_degrees() < 1.0, "{}: {off_m} m, {turned} rad", view.name);
     }
+}
+
+#[test]
+fn one_command_makes_deliverables_of_photographs() {
+    if !has_colmap() {
+        return;
+    }
+    let folder = tempfile::tempdir().unwrap();
+    let (photographs, out) = (folder.path().join("photographs"), folder.path().join("out"));
+    let settings = RawSettings { gps_noise_m: 0.25, gps_bias_m: 0.0, targets: 0, ..RawSettings::default() };
+    City::build(&CITY).unwrap().write_raw(&settings, &photographs, |_, _| ()).unwrap();
+    let run = Command::new(program("cosurf-aggregator"))
+        .args(["mission", "--agents", "2", "--steps", "60", "--max-size", "200", "--data"])
+        .arg(&photographs)
+        .arg("--out")
+        .arg(&out)
+        .output()
+        .unwrap();
+    assert!(run.status.success(), "{}", String::from_utf8_lossy(&run.stderr));
+    let made =
+        ["dsm.tif", "dtm.tif", "ortho.tif", "confidence.tif", "points.laz", "mesh.glb", "tileset.json"];
+    for file in made.into_iter().chain(["contours.geojson", "accuracy.json"]) {
+        assert!(out.join("survey").join(file).is_file(), "{file} is missing");
+    }
+    let accuracy = fs::read(out.join("survey/accuracy.json")).unwrap();
+    let accuracy: serde_json::Value = serde_json::from_slice(&accuracy).unwrap();
+    assert_eq!(accuracy["epsg"], 32_633, "the UTM zone of the photographs' GPS");
+    assert!(accuracy["gps"]["horizontal_rms_m"].as_f64().unwrap() < OFF_MAX_M, "{accuracy}");
+    // Nearly all of the city's 40 m × 40 m have heights, which lie above the ellipsoid as its ground does.
+    assert!(accuracy["covered_m2"].as_f64().unwrap() > 800.0, "{accuracy}");
+    let lowest_m = accuracy["height_range_m"][0].as_f64().unwrap();
+    assert!((lowest_m - settings.origin.height_m).abs() < 10.0, "{accuracy}");
+}
+
+#[test]
+fn what_masks_hide_gets_no_points() {
+    if !has_colmap() {
+        return;
+    }
+    let folder = tempfile::tempdir().unwrap();
+    let [raw, photographs, data] = ["raw", "photographs", "data"].map(|name| folder.path().join(name));
+    let settings = RawSettings { gps_noise_m: 0.25, gps_bias_m: 0.0, targets: 0, ..RawSettings::default() };
+    City::build(&CITY).unwrap().write_raw(&settings, &raw, |_, _| ()).unwrap();
+    let [images, masks] = ["images", "masks"].map(|name| photographs.join(name));
+    fs::create_dir_all(&images).unwrap();
+    fs::create_dir_all(&masks).unwrap();
+    for file in fs::read_dir(&raw).unwrap().map(|file| file.unwrap().path()) {
+        if file.extension().is_some_and(|extension| extension.eq_ignore_ascii_case("jpg")) {
+            let name = file.file_name().unwrap().to_str().unwrap();
+            fs::rename(&file, images.join(name)).unwrap();
+            quarter_hidden(CITY.size_px).write_png(&masks.join(format!("{name}.png"))).unwrap();
+        }
+    }
+    let run = Command::new(program("cosurf-agent"))
+        .arg("ingest")
+        .arg("--out")
+        .args([&data, &photographs])
+        .output()
+        .unwrap();
+    assert!(run.status.success(), "{}", String::from_utf8_lossy(&run.stderr));
+    let Dataset { views, points, .. } = Dataset::open(&data).unwrap();
+    assert!(views.len() >= 10 && views.iter().all(|view| view.mask.is_some()), "{} views", views.len());
+    let mut seen = [0, 0];
+    for (point, view) in points.iter().flat_map(|point| point.views.iter().map(move |view| (point, *view))) {
+        let camera = &views[view as usize].camera;
+        let Some((px, _)) = camera.project_with_depth(point.position) else { continue };
+        // The lens bends the border of the hidden quarter by a few pixels.
+        seen[usize::from(px.x < 0.2 * f64::from(camera.size_px[0]))] += 1;
+    }
+    let [shown, hidden] = seen;
+    assert!(shown > 500 && hidden * 100 < shown, "{shown} points are shown, {hidden} hidden");
+}
+
+/// A mask whose left quarter hides.
+fn quarter_hidden(size_px: [u32; 2]) -> Picture {
+    let [width, height] = size_px.map(|side| side as usize);
+    let grey = |x: usize| if 4 * x < width { 0.0 } else { 1.0 };
+    let rgb: Vec<f32> = (0..width * height).flat_map(|i| [grey(i % width); 3]).collect();
+    Picture::from_unit(size_px, &rgb)
 }
