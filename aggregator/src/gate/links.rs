@@ -12,7 +12,7 @@ use cosurf_link::Model;
 use cosurf_scene::Camera;
 
 use super::adjust::Link;
-use super::consensus::consensus;
+use super::consensus::{Tolerance, consensus};
 use super::features::Feature;
 use super::matching::{Matches, Pair, Sight, matches};
 use super::scouts::{Scout, ScoutFile, best};
@@ -23,9 +23,6 @@ use crate::merge::{Locals, MergeError};
 /// Largest distance between the points of a pair that fits, px of the compared pictures. For right models, most pairs
 /// are within half of it.
 const FIT_PX: f64 = 2.0;
-/// How far a distance along the line of sight counts: pictures tell it worse than a distance across. Of two models of the
-/// city that were ingested apart (500 steps, 320 px), 43 % of the right matches fit if it counts in full.
-const DEPTH_SHARE: f64 = 0.25;
 /// Least share of the matches that must fit.
 const FIT_SHARE_MIN: f64 = 0.5;
 /// Least share of the searched patches that must be found in the other model.
@@ -112,10 +109,14 @@ impl Held {
 /// a guess of the similarity from the frame of `other` to that of `one`. `None` if the models share too little ground,
 /// or if they do not fit each other anywhere near.
 pub(super) fn links(one: &mut Held, other: &mut Held, start: &Similarity) -> Option<(Similarity, [Link; 2])> {
-    let near = converge(one, other, start);
-    let (one_from_other, seen) = near.or_else(|| {
-        let closer = approach(one, other, start)?;
-        converge(one, other, &closer)
+    // Depths of poor models are far worse than their pictures. If they count less from the start, models that are far apart
+    // may converge to a wrong place.
+    let ways: [fn(f64) -> Tolerance; 2] = [Tolerance::in_space, Tolerance::in_pictures];
+    let (one_from_other, seen) = ways.into_iter().find_map(|tolerance| {
+        converge(one, other, start, tolerance).or_else(|| {
+            let closer = approach(one, other, start, tolerance)?;
+            converge(one, other, &closer, tolerance)
+        })
     })?;
     fits(&seen.wide, &one_from_other).then(|| {
         let [forth, back] = [seen.forth, seen.back].map(|matches| matches.found);
@@ -138,7 +139,12 @@ struct Seen {
 }
 
 /// Repeats the comparison with large pictures until the similarity has settled.
-fn converge(one: &mut Held, other: &mut Held, start: &Similarity) -> Option<(Similarity, Seen)> {
+fn converge(
+    one: &mut Held,
+    other: &mut Held,
+    start: &Similarity,
+    tolerance: fn(f64) -> Tolerance,
+) -> Option<(Similarity, Seen)> {
     let mut one_from_other = *start;
     let views = [other.views(one, start), one.views(other, &start.inverse())];
     let (mut last, mut wide) = (None, None);
@@ -147,7 +153,7 @@ fn converge(one: &mut Held, other: &mut Held, start: &Similarity) -> Option<(Sim
         let back = look(one, other, &views[1], &one_from_other.inverse(), SIZE_PX, reach_px);
         let mut pairs = forth.found.clone();
         pairs.extend(back.swapped().found);
-        let found = agreed(&pairs, tolerance_px)?;
+        let found = agreed(&pairs, tolerance(tolerance_px))?;
         let change_px = change_px(&pairs, &found, &one_from_other);
         one_from_other = found;
         if round == 0 && change_px < NEAR_PX {
@@ -164,19 +170,24 @@ fn converge(one: &mut Held, other: &mut Held, start: &Similarity) -> Option<(Sim
 }
 
 /// Brings two models that are far apart closer to each other.
-fn approach(one: &mut Held, other: &mut Held, start: &Similarity) -> Option<Similarity> {
+fn approach(
+    one: &mut Held,
+    other: &mut Held,
+    start: &Similarity,
+    tolerance: fn(f64) -> Tolerance,
+) -> Option<Similarity> {
     let mut one_from_other = *start;
     for (size_px, reach_px, tolerance_px) in FAR_ROUNDS {
         let views = other.views(one, &one_from_other);
         let seen = look(other, one, &views, &one_from_other, size_px, reach_px);
-        one_from_other = agreed(&seen.found, tolerance_px)?;
+        one_from_other = agreed(&seen.found, tolerance(tolerance_px))?;
     }
     Some(one_from_other)
 }
 
 /// The similarity with which most pairs agree; `None` if too few agree.
-fn agreed(pairs: &[Pair], tolerance_px: f64) -> Option<Similarity> {
-    let (found, agreeing) = consensus(pairs, tolerance_px)?;
+fn agreed(pairs: &[Pair], tolerance: Tolerance) -> Option<Similarity> {
+    let (found, agreeing) = consensus(pairs, tolerance)?;
     let is_enough = agreeing >= AGREEING_MIN && agreeing as f64 >= AGREEING_SHARE_MIN * pairs.len() as f64;
     is_enough.then_some(found)
 }
@@ -216,19 +227,11 @@ fn resized(camera: &Camera, size_px: u32) -> Camera {
 
 /// Whether enough patches were searched and found, and enough matches fit.
 fn fits(seen: &Matches, one_from_other: &Similarity) -> bool {
-    let found = seen.found.len() as f64;
-    let near = seen.found.iter().filter(|pair| apart_px(pair, one_from_other) <= FIT_PX).count() as f64;
+    let (found, fit) = (seen.found.len() as f64, Tolerance::in_pictures(FIT_PX));
+    let near = seen.found.iter().filter(|pair| fit.holds(pair, one_from_other)).count() as f64;
     seen.sought >= SOUGHT_MIN
         && found >= FOUND_SHARE_MIN * seen.sought as f64
         && near >= FIT_SHARE_MIN * found
-}
-
-/// Distance between the two points of a pair after `one_from_other` has moved the second, px. Along the line of sight, only
-/// [`DEPTH_SHARE`] of it counts.
-fn apart_px(pair: &Pair, one_from_other: &Similarity) -> f64 {
-    let apart = one_from_other.apply(pair.other) - pair.trusted;
-    let along = apart.dot(pair.trusted_sight) * pair.trusted_sight;
-    (apart - (1.0 - DEPTH_SHARE) * along).length() / pair.trusted_pixel_m
 }
 
 #[cfg(test)]

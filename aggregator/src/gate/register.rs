@@ -7,7 +7,7 @@
 use glam::DVec3;
 use rayon::prelude::*;
 
-use super::consensus::{Dice, agreeing, between, count_agreeing};
+use super::consensus::{Dice, Tolerance, agreeing, between, count_agreeing};
 use super::features::Feature;
 use super::matching::Pair;
 use super::similarity::Similarity;
@@ -35,16 +35,16 @@ pub(super) fn register(one: &[Feature], other: &[Feature]) -> Option<Similarity>
     let mut best: Option<(usize, Similarity)> = None;
     for _ in 0..TRIES {
         let Some(guess) = triple(&pairs, &mut dice) else { continue };
-        let count = count_agreeing(&pairs, &guess, AGREE_PX);
+        let count = count_agreeing(&pairs, &guess, Tolerance::in_space(AGREE_PX));
         if best.is_none_or(|(most, _)| count > most) {
             best = Some((count, guess));
         }
     }
     let (_, mut found) = best?;
     for _ in 0..5 {
-        found = between(&agreeing(&pairs, &found, AGREE_PX)).unwrap_or(found);
+        found = between(&agreeing(&pairs, &found, Tolerance::in_space(AGREE_PX))).unwrap_or(found);
     }
-    (count_agreeing(&pairs, &found, AGREE_PX) >= AGREEING_MIN).then_some(found)
+    (count_agreeing(&pairs, &found, Tolerance::in_space(AGREE_PX)) >= AGREEING_MIN).then_some(found)
 }
 
 /// Each place of `other` with the place of `one` that is most like it, if no other place is almost as like.
