@@ -140,7 +140,7 @@ pub enum BodyCodec {
     /// [`crate::body`]: quantised to integers, in independently decodable packs, most important first.
     Packed,
     /// As [`Self::Packed`]; and neither GPS nor control points tell where the model lies, so its coordinates are in a frame of
-    /// its own. Programs before 0.2 do not know it, and send all models as [`Self::Packed`].
+    /// its own. Programs of version 0.1 do not know it, and send all models as [`Self::Packed`].
     PackedUnplaced,
 }
 
