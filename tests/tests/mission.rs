@@ -101,11 +101,11 @@ fn assert_no_photograph_was_sent(data: &Path, out: &Path) {
         assert_eq!(find_piece(&fs::read(out.join(file)).unwrap(), &pieces), None, "{file}");
     }
     // The agents count every byte that they send. The count hardly exceeds the size of the stored models, so nothing
-    // else was sent.
+    // else was sent. Topic and head add 53 bytes to each chunk of 2 KiB, 2.6 %.
     let report: serde_json::Value =
         serde_json::from_slice(&fs::read(out.join("report.json")).unwrap()).unwrap();
     let counted = report["whole"]["bytes_sent"].as_u64().unwrap();
-    assert!(counted as f64 <= 1.02 * sent as f64, "{counted} bytes were sent, {sent} are in the stores");
+    assert!(counted as f64 <= 1.04 * sent as f64, "{counted} bytes were sent, {sent} are in the stores");
 }
 
 /// Asserts that every agent has compared the global model with its own model, and found only small changes.
