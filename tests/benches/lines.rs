@@ -36,9 +36,55 @@ struct Arguments {
 /// Rates, kB/s.
 const RATES: [f64; 5] = [2.0, 5.0, 10.0, 20.0, 50.0];
 /// Times between cuts, seconds.
-const CUTS: [Option<u64>; 5] = [None, Some(10), Some(6), Some(3), Some(1)];
+const CUTS_S: [u64; 4] = [10, 6, 3, 1];
+/// Rate of lines that fail once, kB/s.
+const FAILING_RATE: f64 = 10.0;
+/// How long a line carries nothing although its connections stay open, and how long nothing can be reached, seconds.
+const FAILURES: [Trouble; 2] = [Trouble::Silent(100), Trouble::Away(600)];
+/// When such a line fails, seconds after the start.
+const FAILS_AT_S: u64 = 20;
 /// Bytes of one splat in a body, about.
 const SPLAT_BYTES: f64 = 21.0;
+
+/// What is wrong with a line besides its rate. Times are in seconds.
+#[derive(Clone, Copy, Debug)]
+enum Trouble {
+    None,
+    CutEach(u64),
+    Silent(u64),
+    Away(u64),
+}
+
+impl Trouble {
+    fn name(self) -> String {
+        match self {
+            Self::None => "no cuts".into(),
+            Self::CutEach(s) => format!("cut each {s} s"),
+            Self::Silent(s) => format!("silent for {s} s"),
+            Self::Away(s) => format!("away for {s} s"),
+        }
+    }
+
+    /// The line with this trouble.
+    fn of_line(self, bytes_per_s: f64) -> LineSettings {
+        let slow = LineSettings::slow(bytes_per_s);
+        let once = |s| Some([FAILS_AT_S, FAILS_AT_S + s].map(Duration::from_secs));
+        match self {
+            Self::None => slow,
+            Self::CutEach(s) => LineSettings { cut_every: Some(Duration::from_secs(s)), ..slow },
+            Self::Silent(s) => LineSettings { stall: once(s), ..slow },
+            Self::Away(s) => LineSettings { away: once(s), ..slow },
+        }
+    }
+
+    /// Time in which the line carries nothing, seconds.
+    fn lost_s(self) -> f64 {
+        match self {
+            Self::None | Self::CutEach(_) => 0.0,
+            Self::Silent(s) | Self::Away(s) => s as f64,
+        }
+    }
+}
 
 #[derive(Clone, Copy, Debug, PartialEq)]
 enum Way {
@@ -62,8 +108,12 @@ fn main() -> Result<()> {
     let brokers = [("Mosquitto", mosquitto.address.clone()), ("built-in", broker_address(own.address()))];
     let cases: Vec<_> = RATES
         .iter()
-        .flat_map(|rate| CUTS.iter().map(move |cut| (*rate, *cut)))
-        .flat_map(|(rate, cut)| [Way::Up, Way::Down].map(|way| (rate, cut, way)))
+        .flat_map(|rate| {
+            let cuts = CUTS_S.iter().map(|s| Trouble::CutEach(*s));
+            std::iter::once(Trouble::None).chain(cuts).map(move |trouble| (*rate, trouble))
+        })
+        .chain(FAILURES.map(|failure| (FAILING_RATE, failure)))
+        .flat_map(|(rate, trouble)| [Way::Up, Way::Down].map(|way| (rate, trouble, way)))
         .collect();
     let columns: Vec<Column> = brokers
         .iter()
@@ -79,11 +129,11 @@ fn main() -> Result<()> {
         let running: Vec<Vec<_>> = cases
             .iter()
             .enumerate()
-            .map(|(i, (rate, cut, way))| {
+            .map(|(i, (rate, trouble, way))| {
                 let fly = |(broker, address): (usize, &BrokerAddress)| {
                     let site = format!("site-{i}-{broker}");
                     let (address, arguments) = (address.clone(), &arguments);
-                    scope.spawn(move || transfer(&site, &address, *rate, *cut, *way, arguments))
+                    scope.spawn(move || transfer(&site, &address, *rate, *trouble, *way, arguments))
                 };
                 brokers.iter().map(|(_, address)| address).enumerate().map(fly).collect()
             })
@@ -95,11 +145,10 @@ fn main() -> Result<()> {
             })
             .collect()
     });
-    for ((rate, cut, way), outcomes) in cases.iter().zip(&outcomes) {
+    for ((rate, trouble, way), outcomes) in cases.iter().zip(&outcomes) {
         let way = if *way == Way::Up { "up" } else { "down" };
-        let cut = cut.map_or("no cuts".to_owned(), |cut| format!("cut each {cut} s"));
         let cells: Vec<_> = outcomes.iter().flat_map(|outcome| [outcome.time, Some(outcome.bytes)]).collect();
-        measurement.row(&format!("{way}, {rate} kB/s, {cut}"), &cells);
+        measurement.row(&format!("{way}, {rate} kB/s, {}", trouble.name()), &cells);
     }
     measurement.finish()?;
     Ok(())
@@ -109,7 +158,7 @@ fn transfer(
     site: &str,
     broker: &BrokerAddress,
     rate: f64,
-    cut: Option<u64>,
+    trouble: Trouble,
     way: Way,
     arguments: &Arguments,
 ) -> Outcome {
@@ -120,10 +169,8 @@ fn transfer(
     let whole = offer(sender, 1, kind, 1, splats, 65_536);
     let model =
         Offer::from_body(whole.header.device, whole.header.model, kind, 3, whole.body).expect("a valid body");
-    let settings =
-        LineSettings { cut_every: cut.map(Duration::from_secs), ..LineSettings::slow(bytes_per_s) };
-    let line = SlowLine::start(broker, settings);
-    let least = model.body.len() as f64 / bytes_per_s;
+    let line = SlowLine::start(broker, trouble.of_line(bytes_per_s));
+    let least = model.body.len() as f64 / bytes_per_s + trouble.lost_s();
     let patience = Duration::from_secs_f64(arguments.patience * least);
     let identity = |role, device: &str| Identity {
         site: SiteId::new(site).expect("a short name"),
