@@ -9,7 +9,7 @@ use std::time::Duration;
 
 use cosurf_link::{DEVICES_MAX, Damaged, ModelKey, ModelStore, Node, NodeEvent, Offer, Receiver as Listed};
 use cosurf_scene::{Camera, SceneError, camera_list, ply};
-use cosurf_wire::{DeviceId, ModelHeader, ModelId, ModelKind, RefusalReason, TileId, WireError};
+use cosurf_wire::{BodyHash, DeviceId, ModelHeader, ModelId, ModelKind, RefusalReason, TileId, WireError};
 
 use super::above::{Above, AboveLink};
 use super::control::{Command, ServiceConfig};
@@ -288,7 +288,7 @@ impl Keeper {
             NodeEvent::Denied(reason) => ServiceEvent::Denied { reason },
             NodeEvent::FlightPledged { device, session, cameras_blake3 } => {
                 if self.shelf.pledge(device, session, cameras_blake3) {
-                    node.confirm_flights(self.shelf.confirmed_flights());
+                    node.confirm_flights(self.confirmed_flights());
                 }
                 return None;
             }
@@ -308,8 +308,15 @@ impl Keeper {
         let withdrawn: Vec<DeviceId> = self.shelf.take_void_flights().collect();
         if !withdrawn.is_empty() {
             withdrawn.into_iter().for_each(|device| node.clear_flight(device));
-            node.confirm_flights(self.shelf.confirmed_flights());
+            node.confirm_flights(self.confirmed_flights());
         }
+    }
+
+    /// The flights that count: to revoked devices nobody leaves any ground.
+    fn confirmed_flights(&self) -> Vec<(DeviceId, BodyHash)> {
+        let mut flights = self.shelf.confirmed_flights();
+        flights.retain(|(device, _)| !self.revoked.contains(device));
+        flights
     }
 
     fn store(&mut self, node: &mut Node, header: ModelHeader, body: &[u8], now: Duration) -> ServiceEvent {
@@ -464,6 +471,9 @@ impl Keeper {
         let again =
             before.difference(&self.revoked).map(|device| ServiceEvent::Readmitted { device: *device });
         self.told.extend(newly.chain(again));
+        // Nobody must leave ground to a device that can send no model of it.
+        self.revoked.difference(&before).for_each(|device| node.clear_flight(*device));
+        node.confirm_flights(self.confirmed_flights());
         Ok(())
     }
 

@@ -16,7 +16,7 @@ use super::refusals::Refusals;
 use super::token::Token;
 
 /// Name of the cookie that carries the token.
-const COOKIE_NAME: &str = "cosurf-token";
+const COOKIE_NAME: &str = "cosurf-token-";
 /// What a page may load: only what this server has. Workers of the viewer are made of its script, as `blob:`.
 const POLICY: &str = "default-src 'none'; script-src 'self'; worker-src blob:; style-src 'self'; \
                       img-src 'self' data: blob:; connect-src 'self'; base-uri 'none'; form-action 'none'; \
@@ -105,7 +105,7 @@ impl Guard {
 
     /// Puts the token into a cookie, and out of the address, which a browser keeps in its history.
     fn welcome(&self) -> Response {
-        let cookie = format!("{COOKIE_NAME}={}; HttpOnly; SameSite=Strict; Path=/", self.token.as_str());
+        let cookie = format!("{}; HttpOnly; SameSite=Strict; Path=/", cookie_of(&self.token));
         let mut response = Redirect::to("/").into_response();
         if let Ok(cookie) = HeaderValue::from_str(&cookie) {
             response.headers_mut().insert(SET_COOKIE, cookie);
@@ -114,12 +114,21 @@ impl Guard {
     }
 }
 
-/// The texts of a request that may be the token: of the header for scripts, and of the cookie.
+/// The cookie with a token: name and value. Browsers send a cookie to all ports of a computer, so each token has a name of its
+/// own, or two stations would replace each other's.
+fn cookie_of(token: &Token) -> String {
+    let token = token.as_str();
+    let name = &blake3::hash(token.as_bytes()).to_hex()[..8];
+    format!("{COOKIE_NAME}{name}={token}")
+}
+
+/// The texts of a request that may be the token: of the header for scripts, and of the cookies.
 fn shown(headers: &HeaderMap) -> impl Iterator<Item = &str> {
     let bearer = text(headers, AUTHORIZATION).and_then(|value| value.strip_prefix("Bearer "));
     let cookies = text(headers, COOKIE).unwrap_or_default().split(';');
-    let cookies = cookies.filter_map(|cookie| cookie.trim().strip_prefix(COOKIE_NAME)?.strip_prefix('='));
-    bearer.into_iter().chain(cookies)
+    let values =
+        cookies.filter_map(|cookie| Some(cookie.trim().strip_prefix(COOKIE_NAME)?.split_once('=')?.1));
+    bearer.into_iter().chain(values)
 }
 
 fn text(headers: &HeaderMap, name: HeaderName) -> Option<&str> {
@@ -169,7 +178,7 @@ mod tests {
     fn on_this_computer_looking_is_free_and_acting_needs_the_token() {
         let guard = guard(true);
         let bearer = format!("Bearer {}", guard.token.as_str());
-        let cookie = format!("a=b; {COOKIE_NAME}={}", guard.token.as_str());
+        let cookie = format!("a=b; {}; {}", cookie_of(&Token::random().unwrap()), cookie_of(&guard.token));
         let host = ("host", "127.0.0.1:8080");
         assert_eq!(status(&guard, Method::GET, "/", &[host]), 200);
         assert_eq!(status(&guard, Method::GET, "/", &[("host", "[::1]:8080")]), 200);
@@ -187,7 +196,7 @@ mod tests {
     #[test]
     fn a_page_of_another_site_cannot_act_even_with_the_cookie() {
         let guard = guard(true);
-        let cookie = format!("{COOKIE_NAME}={}", guard.token.as_str());
+        let cookie = cookie_of(&guard.token);
         let with = |more: (&'static str, &str)| {
             status(&guard, Method::POST, "/x", &[("host", "localhost:1"), ("cookie", &cookie), more])
         };

@@ -4,11 +4,13 @@
 //! What it knows nothing about: why requests are refused.
 
 use std::net::IpAddr;
-use std::sync::{Arc, Mutex, PoisonError};
+use std::sync::{Arc, Mutex, MutexGuard, PoisonError};
 use std::time::{Duration, Instant};
 
 use axum::http::{Method, Uri};
 use cosurf_contract::Escaped;
+use tokio::runtime::Handle;
+use tokio::time::sleep;
 use tracing::warn;
 
 /// Refusals that are told one by one in a [`PERIOD`].
@@ -45,30 +47,52 @@ impl Refusals {
         // Without the query, which may hold a token.
         let path: String = uri.path().chars().take(PATH_CHARS_MAX).collect();
         let line = format!("refused {method} {path} of {by}: {why}");
-        let lines = self.period.lock().unwrap_or_else(PoisonError::into_inner).next(Instant::now(), line);
-        for line in lines.iter().map(|line| Escaped(line).to_string()) {
-            warn!("{line}");
-            (self.tell)(&line);
+        let (lines, is_first_hidden) = {
+            let mut period = self.period();
+            (period.next(Instant::now(), line), period.count == LINES + 1)
+        };
+        lines.iter().for_each(|line| self.write(line));
+        // A flood that has stopped is counted, too.
+        if is_first_hidden && let Ok(runtime) = Handle::try_current() {
+            let refusals = self.clone();
+            runtime.spawn(async move {
+                sleep(PERIOD).await;
+                let rest = refusals.period().end(Instant::now());
+                rest.iter().for_each(|line| refusals.write(line));
+            });
         }
+    }
+
+    fn period(&self) -> MutexGuard<'_, Period> {
+        self.period.lock().unwrap_or_else(PoisonError::into_inner)
+    }
+
+    fn write(&self, line: &str) {
+        let line = Escaped(line).to_string();
+        warn!("{line}");
+        (self.tell)(&line);
     }
 }
 
 impl Period {
     /// The lines to tell for the next refusal.
     fn next(&mut self, now: Instant, line: String) -> Vec<String> {
-        let mut lines = Vec::new();
-        if now.saturating_duration_since(self.begun) >= PERIOD {
-            let more = self.count.saturating_sub(LINES);
-            if more > 0 {
-                lines.push(format!("refused {more} more requests before"));
-            }
-            *self = Self { begun: now, count: 0 };
-        }
+        let mut lines: Vec<String> = self.end(now).into_iter().collect();
         self.count += 1;
         if self.count <= LINES {
             lines.push(line);
         }
         lines
+    }
+
+    /// If the period is over, begins another one. Returns the line with the number of refusals that were not told.
+    fn end(&mut self, now: Instant) -> Option<String> {
+        if now.saturating_duration_since(self.begun) < PERIOD {
+            return None;
+        }
+        let more = self.count.saturating_sub(LINES);
+        *self = Self { begun: now, count: 0 };
+        (more > 0).then(|| format!("refused {more} more requests before"))
     }
 }
 
@@ -84,5 +108,9 @@ mod tests {
         assert_eq!(told, 5);
         let later = period.next(begun + PERIOD, "y".into());
         assert_eq!(later, ["refused 9995 more requests before", "y"]);
+        (0..9).for_each(|_| _ = period.next(begun + PERIOD, "z".into()));
+        assert_eq!(period.end(begun + PERIOD), None, "not over");
+        assert_eq!(period.end(begun + 2 * PERIOD).as_deref(), Some("refused 5 more requests before"));
+        assert_eq!(period.end(begun + 4 * PERIOD), None, "nothing was refused since");
     }
 }
