@@ -524,6 +524,21 @@ impl Keeper {
             && MADE_FILES.iter().all(|name| self.folder.join(name).is_file())
     }
 
+    /// Begins anew to restore the revision that must stay, because files of the one that repeats it are damaged or gone.
+    /// Returns whether it does. If it cannot, the models are merged.
+    fn restores_again(&mut self) -> bool {
+        let Some(revision) = restore::held(&self.folder) else { return false };
+        let wished = restore::find(&self.folder, revision)
+            .and_then(|_| Ok(restore::ask_again(&self.folder, revision)?));
+        if let Err(error) = wished {
+            let reason = error.to_string();
+            self.told.push_back(ServiceEvent::NotRestored { revision, reason });
+            self.let_go();
+            return false;
+        }
+        true
+    }
+
     /// Ends the wait for more models, and lets the merge replace a restored revision.
     fn merge_at_once(&mut self, now: Duration) {
         self.let_go();
@@ -533,12 +548,13 @@ impl Keeper {
     /// Lets the next merge replace a restored revision.
     fn let_go(&mut self) {
         let record = Merging::read(&self.folder).filter(|record| record.restored_from.is_some());
-        if let Some(record) = record {
+        let freed = record.map_or(Ok(()), |record| {
             let free = Merging { restored_from: None, ..record };
-            if let Err(error) = free.write(&self.folder) {
-                let reason = format!("the restored revision stays: {error}");
-                self.told.push_back(ServiceEvent::DiskFailed { reason });
-            }
+            free.write(&self.folder)
+        });
+        if let Err(error) = restore::let_go(&self.folder).and(freed) {
+            let reason = format!("the restored revision stays: {error}");
+            self.told.push_back(ServiceEvent::DiskFailed { reason });
         }
     }
 
@@ -593,6 +609,9 @@ impl Keeper {
         }
         if self.is_held() || self.is_merged(&inputs) {
             self.to_offer = true;
+            return;
+        }
+        if self.restores_again() {
             return;
         }
         let (stores, work) = (self.shelf.stores(), self.work.clone());
@@ -682,6 +701,7 @@ impl Keeper {
         let (count, kept_out) = (inputs.len(), verdict.kept_out.clone());
         let origin = Origin { views, inputs, settings, seconds, restored_from: Some(from) };
         let offer = self.keep(made, origin, verdict)?;
+        restore::hold(&self.folder, from)?;
         restore::end_wish(&self.folder)?;
         let event = self.broadcast(node, now, offer, count, kept_out)?;
         self.tell_restored();

@@ -21,6 +21,9 @@ use super::record::{Merging, WITHDRAWN, remove};
 
 /// The file with the number of the revision that is wished, or with [`RELEASE`], inside the folder of the service.
 const WISH: &str = "restore";
+/// The file with the number of the revision that the newest one repeats, as long as it stays, inside the folder of the service.
+/// It outlasts damage to the files of the newest one.
+const HELD: &str = "held";
 /// The folder with the record of each revision that is kept, inside the folder of the service.
 const RECORDS: &str = "revisions";
 
@@ -95,7 +98,12 @@ pub fn ask_to_restore(folder: &Path, revision: u64) -> Result<(), RestoreError> 
             other => other,
         });
     }
-    Ok(atomic::write_bytes(&folder.join(WISH), revision.to_string().as_bytes())?)
+    Ok(ask_again(folder, revision)?)
+}
+
+/// As [`ask_to_restore`], for a revision that can be restored.
+pub(super) fn ask_again(folder: &Path, revision: u64) -> Result<(), SceneError> {
+    atomic::write_bytes(&folder.join(WISH), revision.to_string().as_bytes())
 }
 
 /// Asks the service with this folder to let its next merge, which begins at once, replace a restored revision.
@@ -122,6 +130,22 @@ pub(super) fn wish(folder: &Path) -> Result<Option<Wish>, SceneError> {
 /// Removes a wish that is fulfilled or cannot be.
 pub(super) fn end_wish(folder: &Path) -> Result<(), SceneError> {
     remove(&folder.join(WISH)).map(drop)
+}
+
+/// Notes that a revision which repeats this one stays.
+pub(super) fn hold(folder: &Path, revision: u64) -> Result<(), SceneError> {
+    atomic::write_bytes(&folder.join(HELD), revision.to_string().as_bytes())
+}
+
+/// The revision that must be repeated as long as the operator asks for no merge.
+pub(super) fn held(folder: &Path) -> Option<u64> {
+    let bytes = files::read(&folder.join(HELD)).ok()?;
+    std::str::from_utf8(&bytes).ok()?.trim().parse().ok()
+}
+
+/// Lets a merge replace what is held.
+pub(super) fn let_go(folder: &Path) -> Result<(), SceneError> {
+    remove(&folder.join(HELD)).map(drop)
 }
 
 /// The key and the record of a revision, if it can be restored.

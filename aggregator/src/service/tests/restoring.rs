@@ -60,6 +60,13 @@ fn a_restored_revision_reaches_every_drone_and_stays_until_a_merge_is_asked_for(
     simulate(&network, &mut ground, &mut drones, offered);
     assert_eq!((revision(&ground), splats(path)), (3, 900), "it stays over a restart");
 
+    // And if its record is lost.
+    network.leave(ground.transport);
+    std::fs::remove_file(path.join("merged.json")).unwrap();
+    let mut ground = open(&network, path, Expected::Anybody(AT_ONCE));
+    simulate(&network, &mut ground, &mut drones, |events, _| count(events, is_restored) == 1);
+    assert_eq!((revision(&ground), splats(path)), (3, 900), "it is restored again, with the same bytes");
+
     ask_to_release(path).unwrap();
     let merged = |events: &[ServiceEvent], _: &[Drone]| count(events, is_merged) == 1;
     simulate(&network, &mut ground, &mut drones, merged);
