@@ -3,8 +3,8 @@
 //!
 //! A mesh is fused from renderings of all cameras ([`crate::mesh`]): it has few floaters, so heights and points come from
 //! it. Heights that do not agree with what the cameras show are left out. The colours of the map come from the splats,
-//! rendered straight down. The cameras are rendered once for all comparisons. All is computed tile by tile into files without names, from which the deliverables are then
-//! written. So the memory is that of the fusion: all that follows needs less, because it has the mesh or the splats but never
+//! rendered straight down. The cameras are rendered once for all comparisons. All is computed tile by tile into files
+//! without names, from which the deliverables are then written. So the memory is that of the fusion: all that follows needs less, because it has the mesh or the splats but never
 //! both, and one tile at a time.
 //!
 //! What it knows nothing about: how the model was made, geoids, command lines. The world of the model must be ENU metres

@@ -109,7 +109,7 @@ pub(super) fn find_frames(
     let (mut edges, mut links) = (Vec::new(), LinkFile::new(workspace.scratch)?);
     measure(models, &near, &identity, shifts, is_given_up, &mut edges, &mut links)?;
     let is_placed: Vec<bool> = (0..count).map(|i| locals.is_placed(i)).collect();
-    // The frame of a model without a place is its own, whatever is said of the others.
+    // A model without a place is in a frame of its own, even where the frames of the others are known.
     let is_known = |models: [usize; 2]| vouched && models.iter().all(|i| is_placed[*i]);
     let may_register = |models: [usize; 2]| !is_known(models) || near.contains(&models);
     register_groups(models, &may_register, &mut edges, &mut links, workspace.threads, is_given_up)?;

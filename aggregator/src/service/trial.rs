@@ -13,8 +13,7 @@ use cosurf_wire::ModelHeader;
 use serde::{Deserialize, Serialize};
 
 use super::event::ServiceEvent;
-use super::inputs::Input;
-use super::inputs::Inputs;
+use super::inputs::{Input, Inputs};
 
 /// File of the models that merges died with, in the folder of a service.
 pub(super) const SUSPECTS: &str = "suspects.json";

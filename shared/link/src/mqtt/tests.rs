@@ -111,17 +111,21 @@ fn flood(mut stream: TcpStream) {
     }
 }
 
-/// A stranger who never stops talking does not keep a client from ending.
-#[test]
-fn a_client_ends_although_messages_come_without_a_pause() {
+/// A drone's connection to a broker that serves only it.
+fn drone_served_by(serve: fn(TcpStream)) -> MqttTransport {
     let listener = TcpListener::bind("127.0.0.1:0").unwrap();
     let port = listener.local_addr().unwrap().port();
-    std::thread::spawn(move || flood(listener.accept().unwrap().0));
+    std::thread::spawn(move || serve(listener.accept().unwrap().0));
     let (site, device) = (SiteId::new("site").unwrap(), DeviceId::new("drone").unwrap());
     let identity = Identity { site, device, session: 1, role: Role::Device };
     let broker = BrokerAddress::plain("127.0.0.1", port);
-    let mut transport =
-        MqttTransport::start(MqttConfig { broker, identity, will: None, tls: None, login: None });
+    MqttTransport::start(MqttConfig { broker, identity, will: None, tls: None, login: None })
+}
+
+/// A stranger who never stops talking does not keep a client from ending.
+#[test]
+fn a_client_ends_although_messages_come_without_a_pause() {
+    let mut transport = drone_served_by(flood);
     let timeout = Duration::from_secs(20);
     assert_eq!(transport.poll(timeout), Some(TransportEvent::Connected));
     assert!(matches!(transport.poll(timeout), Some(TransportEvent::Incoming { .. })));
@@ -228,16 +232,10 @@ fn serve_kept_session(mut stream: TcpStream) {
 /// A request from before the break does not know of the chunks that arrived after it.
 #[test]
 fn requests_that_a_broker_kept_while_the_client_was_away_are_dropped() {
-    let listener = TcpListener::bind("127.0.0.1:0").unwrap();
-    let port = listener.local_addr().unwrap().port();
-    std::thread::spawn(move || serve_kept_session(listener.accept().unwrap().0));
-    let (site, device) = (SiteId::new("site").unwrap(), DeviceId::new("drone").unwrap());
-    let identity = Identity { site, device, session: 1, role: Role::Device };
-    let broker = BrokerAddress::plain("127.0.0.1", port);
-    let mut transport =
-        MqttTransport::start(MqttConfig { broker, identity, will: None, tls: None, login: None });
+    let mut transport = drone_served_by(serve_kept_session);
     let timeout = Duration::from_secs(20);
     assert_eq!(transport.poll(timeout), Some(TransportEvent::Connected));
+    let (site, device) = (SiteId::new("site").unwrap(), DeviceId::new("drone").unwrap());
     let topic = Topic::State { device }.to_text(&site);
     transport.publish(&Outgoing { topic, payload: vec![1], retain: false }).unwrap();
     let event = transport.poll(timeout);
