@@ -109,6 +109,7 @@ impl<'a, F: FnMut(AgentEvent)> Publisher<'a, F> {
         };
         let mut node = Node::new(publication.identity, limits, &known);
         node.set_credentials(publication.credentials.clone());
+        node.keep_arrived(&out.join("global"))?;
         let upload = match publication.sharing {
             Some(sharing) => {
                 node.announce_flight(sharing.flight);

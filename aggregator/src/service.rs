@@ -5,7 +5,7 @@
 //!
 //! | in the folder | |
 //! |---|---|
-//! | `models/` | every local model as it arrived |
+//! | `models/` | every local model as it arrived, and what has arrived of unfinished ones |
 //! | `parts/` | the parts of unfinished uploads that the last merge used: [`crate::merge::fill_in()`] |
 //! | `global/` | every revision of the global model |
 //! | `global.ply` | the newest revision, for viewers |
@@ -42,6 +42,7 @@
 
 mod above;
 mod bound;
+mod checked;
 mod config;
 mod control;
 mod cut;

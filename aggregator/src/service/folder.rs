@@ -19,8 +19,8 @@ use crate::merge::concatenate;
 pub(crate) fn write_joined(folders: &[PathBuf], file: &Path, frame: &LocalFrame) -> Result<(), ServiceError> {
     let mut parts = Vec::new();
     for folder in folders {
-        let (models, headers) = ModelStore::open(&folder.join("models"))?;
-        let models = Rc::new(models);
+        let (store, headers) = ModelStore::open(&models(folder))?;
+        let models = Rc::new(store);
         let newest: BTreeMap<DeviceId, ModelHeader> =
             headers.into_iter().map(|header| (header.device, header)).collect();
         parts.extend(newest.into_values().map(|header| (models.clone(), header)));
@@ -40,6 +40,11 @@ pub(crate) fn write_joined(folders: &[PathBuf], file: &Path, frame: &LocalFrame)
 /// Folder of the global model's revisions, inside the folder of a service.
 pub(crate) fn global_store(folder: &Path) -> PathBuf {
     folder.join("global")
+}
+
+/// Folder of the local models, and of what has arrived of unfinished ones, inside the folder of a service.
+pub(super) fn models(folder: &Path) -> PathBuf {
+    folder.join("models")
 }
 
 /// Folder of the results of tiles, inside the folder of a service.
@@ -73,7 +78,7 @@ pub(super) const REPORT_FILES: [&str; 3] = ["mesh.ply", "report.html", "report.j
 /// service may be running.
 pub fn senders(folder: &Path) -> Result<BTreeSet<DeviceId>, SceneError> {
     let mut senders = BTreeSet::new();
-    for store in ["models", "parts"].map(|name| folder.join(name)) {
+    for store in [models(folder), folder.join("parts")] {
         let entries = match fs::read_dir(&store) {
             Err(cause) if cause.kind() == ErrorKind::NotFound => continue,
             entries => entries.map_err(|cause| SceneError::io(&store, cause))?,

@@ -131,9 +131,12 @@ impl Keeper {
         let results = Store::in_folder(&tiles(&config.folder)).map_err(MergeError::from)?;
         let (trials, died) = Trials::open(&config.folder)?;
         let revoked = revoked(&config.folder)?;
-        let (merged, revision) = Merging::read(&config.folder)
-            .map(|record| (record.inputs, Some(ModelId(record.revision))))
-            .unwrap_or_default();
+        let record = Merging::read(&config.folder);
+        if let Some(from) = record.as_ref().and_then(|record| record.restored_from) {
+            restore::hold(&config.folder, from)?;
+        }
+        let (merged, revision) =
+            record.map(|record| (record.inputs, Some(ModelId(record.revision)))).unwrap_or_default();
         let mut missing = shelf.take_damaged();
         missing.extend(merged.iter().filter_map(|input| shelf.lacks(input)));
         let mut used = revision.filter(|revision| !revision.is_tile());
@@ -349,7 +352,7 @@ impl Keeper {
     }
 
     /// Carries out the commands that have arrived.
-    pub(super) fn obey(&mut self, node: &Node, commands: &Receiver<Command>, now: Duration) -> RunState {
+    pub(super) fn obey(&mut self, node: &mut Node, commands: &Receiver<Command>, now: Duration) -> RunState {
         loop {
             match commands.try_recv() {
                 Ok(Command::GiveUp(device)) => {
@@ -482,6 +485,12 @@ impl Keeper {
         let revision = match restore::wish(&self.folder)? {
             None => return Ok(()),
             Some(Wish::Restore(revision)) => revision,
+            Some(Wish::Unreadable) => {
+                let reason =
+                    "the file of the wish to restore a revision is damaged and is removed; ask again";
+                self.told.push_back(ServiceEvent::SetAside { reason: reason.to_owned() });
+                return Ok(restore::end_wish(&self.folder)?);
+            }
             Some(Wish::Release) => {
                 self.merge_at_once(now);
                 return Ok(restore::end_wish(&self.folder)?);
@@ -507,7 +516,7 @@ impl Keeper {
     }
 
     fn refuse_wish(&mut self, revision: u64, error: &dyn std::error::Error) -> Result<(), ServiceError> {
-        let reason = error.to_string();
+        let reason = format!("{error}; {}", restore::others(&self.folder, revision));
         self.told.push_back(ServiceEvent::NotRestored { revision, reason });
         Ok(restore::end_wish(&self.folder)?)
     }
@@ -588,7 +597,7 @@ impl Keeper {
     /// If the round is over and no merge is running, ends the round and begins a merge of the models that count. A
     /// running merge is stopped only if it uses withdrawn models: else frequent arrivals would let none end. If the
     /// newest revision was merged from these models, it will be offered again instead.
-    fn begin_when_due(&mut self, node: &Node, now: Duration) {
+    fn begin_when_due(&mut self, node: &mut Node, now: Duration) {
         if !self.is_due(now) {
             return;
         }
@@ -802,7 +811,7 @@ impl Keeper {
     /// a device that refuses everything makes no more than one jump in a session. Returns whether there is one.
     fn jump(&mut self, refused: ModelId, now: Duration) -> bool {
         let session = ModelId(self.session);
-        if self.own_number() != Some(refused) || refused >= session {
+        if self.own_number().max(self.handed.number()) != Some(refused) || refused >= session {
             return false;
         }
         self.used = self.used.max(Some(session));

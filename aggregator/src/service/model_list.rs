@@ -21,6 +21,8 @@ const MODELS_MAX: usize = 1024;
 const ASKS: &str = "asks";
 /// Before the number of a session: the flights of the device up to that session.
 const FLIGHTS: &str = "flights";
+/// Before the BLAKE3 hash of all other lines.
+const CHECK: &str = "# check ";
 /// In the place of a hash: all models with the number.
 const ANY: &str = "any";
 
@@ -38,8 +40,7 @@ pub(super) struct ModelList {
 }
 
 impl ModelList {
-    /// The lists of all devices in a folder. Unreadable lines count as missing. Fails if a list cannot be read: without it,
-    /// withdrawn models would count again.
+    /// The lists of all devices in a folder. Fails if a list is damaged: without it, withdrawn models would count again.
     pub(super) fn read_all(folder: &Path) -> Result<BTreeMap<DeviceId, Self>, SceneError> {
         let entries = match fs::read_dir(folder) {
             Err(cause) if cause.kind() == ErrorKind::NotFound => return Ok(BTreeMap::new()),
@@ -52,6 +53,10 @@ impl ModelList {
             let Some(device) = device else { continue };
             let read = files::read(&path).map_err(|error| error.to_string());
             let text = read.and_then(|bytes| String::from_utf8(bytes).map_err(|error| error.to_string()));
+            let text = text.and_then(|text| match is_damaged(&text) {
+                true => Err("its hash does not match".to_owned()),
+                false => Ok(text),
+            });
             let text = text.map_err(|error| {
                 let remedy = format!("remove it, and withdraw the device again: forget {device}");
                 SceneError::malformed(
@@ -106,6 +111,8 @@ impl ModelList {
         } else if text.is_empty() {
             text.push_str("# none\n");
         }
+        let check = check_line(&text);
+        text.push_str(&check);
         fs::create_dir_all(folder).map_err(|cause| SceneError::io(folder, cause))?;
         atomic::write_bytes(&folder.join(device.as_str()), text.as_bytes())
     }
@@ -144,6 +151,16 @@ impl ModelList {
             self.models.range((number, String::new())..).take_while(|(other, _)| *other == number);
         of_number.into_iter().any(|(_, hash)| is_it(hash))
     }
+}
+
+/// The last line of a list with these lines before it.
+fn check_line(lines: &str) -> String {
+    format!("{CHECK}{}\n", blake3::hash(lines.as_bytes()).to_hex())
+}
+
+/// Whether a list has another content than was written. One without a last line is of an older version, or written by hand.
+fn is_damaged(text: &str) -> bool {
+    text.rfind(CHECK).is_some_and(|at| check_line(&text[..at]) != text[at..])
 }
 
 /// Whether models of these lists are among the inputs of a merge.
@@ -189,6 +206,16 @@ mod tests {
             ModelList::parse("").asks && !ModelList::parse("\n7").asks,
             "as `forget` of version 0.1 asks"
         );
+        let path = folder.path().join(device.as_str());
+        let written = fs::read(&path).unwrap();
+        for place in 0..written.len() {
+            let mut damaged = written.clone();
+            damaged[place] ^= 1;
+            fs::write(&path, damaged).unwrap();
+            // Damage to the words before the hash leaves the list as it is.
+            let read = ModelList::read_all(folder.path());
+            assert!(read.is_err() || read.is_ok_and(|lists| lists[&device] == listed), "byte {place}");
+        }
         let empty = ModelList::default();
         empty.write(folder.path(), &device).unwrap();
         assert_eq!(ModelList::read(folder.path(), &device), empty);

@@ -38,7 +38,7 @@ impl Parts {
     /// stored part of the same device. Returns the header of the new part.
     pub(super) fn take(
         &mut self,
-        node: &Node,
+        node: &mut Node,
         unfinished: &ModelHeader,
     ) -> Result<Option<ModelHeader>, ServiceError> {
         let ModelHeader { device, model, kind, views, frame, .. } = *unfinished;

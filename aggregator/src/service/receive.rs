@@ -12,6 +12,7 @@ use super::above::AboveLink;
 use super::control::{Command, ServiceConfig};
 use super::error::ServiceError;
 use super::event::ServiceEvent;
+use super::folder::models;
 use super::keeper::{Keeper, RunState};
 use super::reporting::{ReportTask, Reporter, Reporting};
 use crate::queue::Queue;
@@ -31,8 +32,10 @@ impl Service {
     /// Opens the folder; creates it if it is missing.
     pub fn open(config: ServiceConfig) -> Result<Self, ServiceError> {
         let (identity, limits) = (config.identity, config.limits);
+        let models = models(&config.folder);
         let (keeper, known) = Keeper::open(config)?;
         let mut service = Self { node: Node::new(identity, limits, &known), keeper };
+        service.node.keep_arrived(&models)?;
         service.node.revoke(service.keeper.revoked());
         Ok(service.with_plan(BTreeMap::new()))
     }
@@ -86,7 +89,7 @@ impl Service {
     ) -> Option<ModelHeader> {
         let mut state = RunState::Running;
         loop {
-            state = state.max(self.keeper.obey(&self.node, commands, now()));
+            state = state.max(self.keeper.obey(&mut self.node, commands, now()));
             let broke = self.step(transport, &now, LISTEN, &mut on_event).is_break();
             let ends = match state {
                 RunState::Running => false,

@@ -6,10 +6,11 @@ use std::fs;
 use std::io;
 use std::path::Path;
 
-use cosurf_scene::{LocalFrame, SceneError, atomic, files};
+use cosurf_scene::{LocalFrame, SceneError, files};
 use cosurf_wire::{DeviceId, ModelHeader};
 use serde::{Deserialize, Serialize};
 
+use super::checked;
 use super::folder::{MADE_FILES, REPORT_FILES};
 use super::inputs::Input;
 use super::model_list::ModelList;
@@ -209,10 +210,10 @@ impl fmt::Display for Fitted {
 }
 
 impl Merging {
-    /// Reads the record in a service's folder. `None` if it is missing or this version cannot read it; the service then
+    /// Reads the record in a service's folder. `None` if it is missing, damaged, or this version cannot read it; the service then
     /// merges the models again.
     pub fn read(folder: &Path) -> Option<Self> {
-        serde_json::from_slice(&files::read(&folder.join(MERGED)).ok()?).ok()
+        checked::read(&folder.join(MERGED)).ok()
     }
 
     /// The models that arrived whole or in part, each with the figures of its merge; `None` for one that was kept out, or of
@@ -231,9 +232,7 @@ impl Merging {
     }
 
     pub(super) fn write(&self, folder: &Path) -> Result<(), SceneError> {
-        let text = serde_json::to_vec_pretty(self).map_err(io::Error::other);
-        let text = text.map_err(|cause| SceneError::io(&folder.join(MERGED), cause))?;
-        atomic::write_bytes(&folder.join(MERGED), &text)
+        checked::write(&folder.join(MERGED), self)
     }
 }
 

@@ -7,13 +7,14 @@
 //! What it knows nothing about: how a revision is read and sent.
 
 use std::fs;
-use std::io::{self, ErrorKind};
+use std::io::ErrorKind;
 use std::path::{Path, PathBuf};
 
 use cosurf_link::{ModelKey, ModelStore, StoreError};
 use cosurf_scene::{SceneError, atomic, files};
-use serde::Serialize;
+use serde::{Deserialize, Serialize};
 
+use super::checked;
 use super::error::ServiceError;
 use super::folder::global_store;
 use super::model_list::{ModelList, any_listed};
@@ -23,12 +24,18 @@ use super::record::{Merging, WITHDRAWN, remove};
 const WISH: &str = "restore";
 /// The file with the number of the revision that the newest one repeats, as long as it stays, inside the folder of the service.
 /// It outlasts damage to the files of the newest one.
-const HELD: &str = "held";
+pub(super) const HELD: &str = "held";
 /// The folder with the record of each revision that is kept, inside the folder of the service.
 const RECORDS: &str = "revisions";
 
 /// In the place of a number: the restored revision must not stay.
 const RELEASE: &str = "release";
+
+/// The file [`HELD`].
+#[derive(Serialize, Deserialize)]
+struct Held {
+    revision: u64,
+}
 
 /// What the operator wishes.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
@@ -37,6 +44,8 @@ pub(super) enum Wish {
     Restore(u64),
     /// Let a merge replace the restored revision.
     Release,
+    /// The file is damaged.
+    Unreadable,
 }
 
 /// A revision that can be restored.
@@ -58,8 +67,14 @@ pub struct OldRevision {
 #[non_exhaustive]
 pub enum RestoreError {
     /// The service does not keep the revision, or not what it was merged from.
-    #[error("revision {0} is not kept; those that can be restored: {1}")]
-    NotKept(u64, String),
+    #[error("revision {0} is not kept")]
+    NotKept(u64),
+    /// Its model is damaged.
+    #[error("the model of revision {0} is damaged")]
+    Damaged(u64),
+    /// Another one may be restored in its place.
+    #[error("{0}; {1}")]
+    Instead(Box<Self>, String),
     /// It is the newest one.
     #[error("revision {0} is the newest one already")]
     Newest(u64),
@@ -90,15 +105,23 @@ pub fn old_revisions(folder: &Path) -> Result<Vec<OldRevision>, RestoreError> {
 
 /// Asks the service with this folder to restore a revision, whether it is running or not.
 pub fn ask_to_restore(folder: &Path, revision: u64) -> Result<(), RestoreError> {
-    if let Err(error) = check(folder, revision) {
-        let others: Vec<String> = old_revisions(folder)?.iter().map(|old| old.revision.to_string()).collect();
-        let others = if others.is_empty() { "none".to_owned() } else { others.join(", ") };
-        return Err(match error {
-            RestoreError::NotKept(..) => RestoreError::NotKept(revision, others),
-            other => other,
-        });
+    let found = find(folder, revision).and_then(|(key, _)| {
+        let read = ModelStore::beside(&global_store(folder)).get(key);
+        read.map(drop).map_err(|_| RestoreError::Damaged(revision))
+    });
+    match found {
+        Ok(()) => Ok(ask_again(folder, revision)?),
+        Err(error) => Err(RestoreError::Instead(Box::new(error), others(folder, revision))),
     }
-    Ok(ask_again(folder, revision)?)
+}
+
+/// Says which revisions can be restored instead of one that cannot.
+pub(super) fn others(folder: &Path, revision: u64) -> String {
+    let old = old_revisions(folder).unwrap_or_default();
+    let others = old.iter().map(|old| old.revision).filter(|other| *other != revision);
+    let others: Vec<String> = others.map(|other| other.to_string()).collect();
+    let others = if others.is_empty() { "none".to_owned() } else { others.join(", ") };
+    format!("others that can be restored: {others}")
 }
 
 /// As [`ask_to_restore`], for a revision that can be restored.
@@ -111,20 +134,16 @@ pub fn ask_to_release(folder: &Path) -> Result<(), SceneError> {
     atomic::write_bytes(&folder.join(WISH), RELEASE.as_bytes())
 }
 
-/// What the operator wishes. A file that holds nothing readable is removed.
+/// What the operator wishes.
 pub(super) fn wish(folder: &Path) -> Result<Option<Wish>, SceneError> {
     let bytes = match files::read(&folder.join(WISH)) {
         Err(SceneError::Io { cause, .. }) if cause.kind() == ErrorKind::NotFound => return Ok(None),
         bytes => bytes?,
     };
-    let wish = std::str::from_utf8(&bytes).ok().and_then(|text| match text.trim() {
-        RELEASE => Some(Wish::Release),
-        number => number.parse().ok().map(Wish::Restore),
-    });
-    if wish.is_none() {
-        end_wish(folder)?;
-    }
-    Ok(wish)
+    Ok(Some(match std::str::from_utf8(&bytes).unwrap_or_default().trim() {
+        RELEASE => Wish::Release,
+        number => number.parse().map_or(Wish::Unreadable, Wish::Restore),
+    }))
 }
 
 /// Removes a wish that is fulfilled or cannot be.
@@ -134,13 +153,12 @@ pub(super) fn end_wish(folder: &Path) -> Result<(), SceneError> {
 
 /// Notes that a revision which repeats this one stays.
 pub(super) fn hold(folder: &Path, revision: u64) -> Result<(), SceneError> {
-    atomic::write_bytes(&folder.join(HELD), revision.to_string().as_bytes())
+    checked::write(&folder.join(HELD), &Held { revision })
 }
 
 /// The revision that must be repeated as long as the operator asks for no merge.
 pub(super) fn held(folder: &Path) -> Option<u64> {
-    let bytes = files::read(&folder.join(HELD)).ok()?;
-    std::str::from_utf8(&bytes).ok()?.trim().parse().ok()
+    checked::read::<Held>(&folder.join(HELD)).ok().map(|held| held.revision)
 }
 
 /// Lets a merge replace what is held.
@@ -152,7 +170,7 @@ pub(super) fn let_go(folder: &Path) -> Result<(), SceneError> {
 pub(super) fn find(folder: &Path, revision: u64) -> Result<(ModelKey, Merging), RestoreError> {
     let record = check(folder, revision)?;
     let key = stored(folder)?.into_iter().find(|key| key.model.0 == revision);
-    key.map(|key| (key, record)).ok_or_else(|| RestoreError::NotKept(revision, String::new()))
+    key.map(|key| (key, record)).ok_or(RestoreError::NotKept(revision))
 }
 
 /// Keeps the record of a revision, and removes those of revisions that are no longer stored.
@@ -160,8 +178,7 @@ pub(super) fn keep_record(folder: &Path, record: &Merging) -> Result<(), Service
     let records = folder.join(RECORDS);
     let failed = |cause| SceneError::io(&records, cause);
     fs::create_dir_all(&records).map_err(failed)?;
-    let text = serde_json::to_vec(record).map_err(|cause| failed(io::Error::other(cause)))?;
-    atomic::write_bytes(&record_path(folder, record.revision), &text)?;
+    checked::write(&record_path(folder, record.revision), record)?;
     let kept: Vec<PathBuf> =
         stored(folder)?.into_iter().map(|key| record_path(folder, key.model.0)).collect();
     for entry in fs::read_dir(&records).map_err(failed)? {
@@ -187,9 +204,9 @@ fn check(folder: &Path, revision: u64) -> Result<Merging, RestoreError> {
         return Err(RestoreError::Newest(revision));
     }
     let is_stored = stored(folder)?.iter().any(|key| key.model.0 == revision);
-    let record = files::read(&record_path(folder, revision)).ok().filter(|_| is_stored);
-    let record = record.and_then(|bytes| serde_json::from_slice::<Merging>(&bytes).ok());
-    let record = record.ok_or_else(|| RestoreError::NotKept(revision, String::new()))?;
+    let record = checked::read::<Merging>(&record_path(folder, revision)).ok();
+    let record = record.filter(|record| is_stored && record.revision == revision);
+    let record = record.ok_or(RestoreError::NotKept(revision))?;
     match any_listed(&ModelList::read_all(&folder.join(WITHDRAWN))?, &record.inputs) {
         true => Err(RestoreError::Withdrawn(revision)),
         false => Ok(record),

@@ -6,7 +6,7 @@
 use std::collections::BTreeSet;
 use std::fs;
 use std::io::ErrorKind;
-use std::path::Path;
+use std::path::{Path, PathBuf};
 
 use cosurf_scene::{SceneError, atomic};
 use cosurf_wire::DeviceId;
@@ -21,9 +21,18 @@ const CONTENT: &[u8] = b"revoked by the operator; `cosurf-aggregator revoke --un
 /// Revokes a device of the service with this folder, whether the service is running or not. Its messages do not count any
 /// more; its models do until it is forgotten.
 pub fn revoke(folder: &Path, device: &DeviceId) -> Result<(), SceneError> {
-    let folder = folder.join(REVOKED);
+    let folder = list_in(folder)?;
     fs::create_dir_all(&folder).map_err(|cause| SceneError::io(&folder, cause))?;
     atomic::write_bytes(&folder.join(device.as_str()), CONTENT)
+}
+
+/// The folder with the files, which may be missing.
+fn list_in(folder: &Path) -> Result<PathBuf, SceneError> {
+    let folder = folder.join(REVOKED);
+    if folder.exists() && !folder.is_dir() {
+        return Err(SceneError::malformed(&folder, "is no folder; remove it, and revoke devices again"));
+    }
+    Ok(folder)
 }
 
 /// Lets a revoked device take part again. Returns false if it was not revoked.
@@ -33,7 +42,7 @@ pub fn readmit(folder: &Path, device: &DeviceId) -> Result<bool, SceneError> {
 
 /// The revoked devices of the service with this folder.
 pub fn revoked(folder: &Path) -> Result<BTreeSet<DeviceId>, SceneError> {
-    let folder = folder.join(REVOKED);
+    let folder = list_in(folder)?;
     let failed = |cause| SceneError::io(&folder, cause);
     let entries = match fs::read_dir(&folder) {
         Err(cause) if cause.kind() == ErrorKind::NotFound => return Ok(BTreeSet::new()),

@@ -7,9 +7,11 @@ use std::path::Path;
 use cosurf_scene::{SceneError, files, ply};
 use serde::de::IgnoredAny;
 
+use super::checked;
 use super::event::ServiceEvent;
 use super::folder::{MADE_FILES, REPORT_FILES, global_ply};
 use super::record::{MERGED, Merging, file_hash};
+use super::restore::HELD;
 use super::trial::{READING, SUSPECTS};
 
 /// Sets aside what an earlier run or somebody else has left in the place of the service's own files, and cannot be used.
@@ -29,11 +31,9 @@ pub(super) fn set_aside_files(folder: &Path) -> Result<Vec<ServiceEvent>, SceneE
     for name in REPORT_FILES.into_iter().chain([READING]) {
         told.extend(set_aside_unless(&folder.join(name), |_| Ok(()))?);
     }
-    for path in [folder.join(MERGED), folder.join(SUSPECTS)] {
-        told.extend(set_aside_unless(&path, |path| {
-            serde_json::from_slice::<IgnoredAny>(&files::read(path)?)
-                .map(drop)
-                .map_err(|error| SceneError::malformed(path, error.to_string()))
+    for name in [MERGED, SUSPECTS, HELD] {
+        told.extend(set_aside_unless(&folder.join(name), |path| {
+            checked::read::<IgnoredAny>(path).map(drop)
         })?);
     }
     Ok(told)

@@ -10,6 +10,7 @@ use cosurf_wire::{BodyHash, DeviceId, ModelHeader, ModelId};
 use super::error::ServiceError;
 use super::event::ServiceEvent;
 use super::flights::Flights;
+use super::folder::models;
 use super::inputs::{Input, Inputs};
 use super::job::Stores;
 use super::model_list::{ModelList, any_listed};
@@ -52,8 +53,7 @@ impl Shelf {
         mut tell: impl FnMut(Damaged, &str),
     ) -> Result<(Self, Vec<ModelHeader>), ServiceError> {
         let mut damaged = Vec::new();
-        let (models, mut headers) =
-            ModelStore::open_telling(&folder.join("models"), |file| damaged.push(file))?;
+        let (models, mut headers) = ModelStore::open_telling(&models(folder), |file| damaged.push(file))?;
         let mut shelf = Self {
             folder: folder.into(),
             models,
@@ -165,7 +165,7 @@ impl Shelf {
 
     /// Stores the parts that have arrived so far from devices without a complete model. If a part cannot be written,
     /// the other models are merged all the same. Returns the events to report.
-    pub(super) fn take_parts(&mut self, node: &Node) -> Vec<ServiceEvent> {
+    pub(super) fn take_parts(&mut self, node: &mut Node) -> Vec<ServiceEvent> {
         let wanted =
             node.unfinished().filter(|header| !self.knows(&header.device) && !self.is_withdrawn(header));
         let wanted: Vec<ModelHeader> = wanted.copied().collect();
@@ -284,7 +284,7 @@ impl Shelf {
     }
 }
 
-fn take_part(parts: &mut Parts, node: &Node, header: &ModelHeader) -> Option<ServiceEvent> {
+fn take_part(parts: &mut Parts, node: &mut Node, header: &ModelHeader) -> Option<ServiceEvent> {
     match parts.take(node, header) {
         Ok(part) => part.map(|part| ServiceEvent::PartTaken { header: part, of_splats: header.splats }),
         Err(error) => {

@@ -141,7 +141,7 @@ fn simulate_until(
     network: &MemoryNetwork,
     ground: &mut Ground,
     drones: &mut [Drone],
-    enough: impl Fn(&Ground, &[ServiceEvent]) -> bool,
+    mut enough: impl FnMut(&mut Ground, &[ServiceEvent]) -> bool,
 ) {
     let mut events = Vec::new();
     while !enough(ground, &events) {
@@ -232,10 +232,8 @@ fn a_drone_that_is_given_up_is_not_waited_for_but_its_model_counts() {
     for name in ["agent-2", "agent-3"] {
         say.send(Command::GiveUp(DeviceId::new(name).unwrap())).unwrap();
     }
-    assert_eq!(
-        ground.service.keeper.obey(&ground.service.node, &commands, Duration::ZERO),
-        RunState::Running
-    );
+    let Service { keeper, node } = &mut ground.service;
+    assert_eq!(keeper.obey(node, &commands, Duration::ZERO), RunState::Running);
     let delivered = |events: &[ServiceEvent], _: &[Drone]| events.contains(&ServiceEvent::Delivered);
     simulate(&network, &mut ground, &mut drones, delivered);
     assert_eq!(drones[0].global.unwrap().splats, 1600, "agent-2 sent before it was given up");

@@ -8,10 +8,11 @@ use std::io::{ErrorKind, Read, Seek, SeekFrom, Write};
 use std::path::{Path, PathBuf};
 use std::sync::{Arc, Mutex, PoisonError};
 
-use cosurf_scene::{SceneError, atomic};
+use cosurf_scene::SceneError;
 use cosurf_wire::ModelHeader;
 use serde::{Deserialize, Serialize};
 
+use super::checked;
 use super::event::ServiceEvent;
 use super::inputs::{Input, Inputs};
 
@@ -51,8 +52,7 @@ impl Trials {
     /// Reads what an earlier run left. If it died in a merge, the model that was being read becomes a suspect, which the
     /// event tells.
     pub(super) fn open(folder: &Path) -> Result<(Self, Option<ServiceEvent>), SceneError> {
-        let text = fs::read(folder.join(SUSPECTS)).unwrap_or_default();
-        let record = serde_json::from_slice(&text).unwrap_or_default();
+        let record = checked::read(&folder.join(SUSPECTS)).unwrap_or_default();
         let mut trials = Self { folder: folder.to_owned(), record };
         let Some(read) = read_index(&folder.join(READING)) else { return Ok((trials, None)) };
         let event = trials.record.merging.get(read as usize).cloned().map(|model| trials.suspect(model));
@@ -111,10 +111,7 @@ impl Trials {
     }
 
     fn write(&self) -> Result<(), SceneError> {
-        let path = self.folder.join(SUSPECTS);
-        let text = serde_json::to_vec_pretty(&self.record).map_err(std::io::Error::other);
-        let text = text.map_err(|cause| SceneError::io(&path, cause))?;
-        atomic::write_bytes(&path, &text)
+        checked::write(&self.folder.join(SUSPECTS), &self.record)
     }
 }
 

@@ -139,6 +139,7 @@ impl UpstreamNode {
         let (above, known) = Received::open(identity.device, &global_store(&folder), global_ply(&folder))?;
         let mut node = Node::new(identity, limits, &known);
         node.set_credentials(credentials);
+        node.keep_arrived(&global_store(&folder))?;
         let (tell, news) = mpsc::channel();
         let upstream = Self { node, device: identity.device, own, above, tell };
         if let Some(header) = upstream.above.newest_at_start()? {

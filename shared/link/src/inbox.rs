@@ -4,19 +4,19 @@
 //!
 //! An upload takes little memory until its chunks arrive ([`room`]).
 
+mod resume;
 mod room;
 
 use std::collections::{BTreeMap, BTreeSet, VecDeque};
 use std::sync::Arc;
 use std::time::Duration;
 
-use cosurf_scene::LocalFrame;
 use cosurf_wire::{
     BodyHash, Chunk, DeviceId, Done, Message, ModelHeader, ModelId, ModelKind, RefusalReason, Refused, Reply,
     Topic,
 };
 
-use crate::body::Model;
+use crate::arrived::ArrivedStore;
 use crate::identity::{Identity, Role};
 use crate::key::ModelKey;
 use crate::pacing::{ABANDONED, NUMBERS_IN_REACH};
@@ -132,6 +132,8 @@ pub struct Inbox {
     /// The keys in `stored`, oldest first.
     stored_order: VecDeque<ModelKey>,
     replies: VecDeque<Outgoing>,
+    /// What has arrived of unfinished models, if it must outlast a restart.
+    arrived: Option<ArrivedStore>,
 }
 
 impl Inbox {
@@ -146,6 +148,7 @@ impl Inbox {
             expected: BTreeMap::new(),
             stored_order: VecDeque::new(),
             replies: VecDeque::new(),
+            arrived: None,
         };
         stored.iter().for_each(|header| inbox.remember(header.into(), header.blake3));
         inbox
@@ -160,6 +163,9 @@ impl Inbox {
     /// Accepts these tiles of the global model from now on, and no others. What has arrived of others is dropped.
     pub fn expect_tiles(&mut self, tiles: BTreeMap<ModelKey, BodyHash>) {
         self.expected = tiles;
+        let arrived = self.arrived.as_mut();
+        let is_old = |key: &ModelKey| key.model.is_tile() && !self.expected.contains_key(key);
+        arrived.into_iter().for_each(|arrived| arrived.remove_all(is_old));
         let expected = &self.expected;
         self.transfers.retain(|key, transfer| {
             !key.model.is_tile()
@@ -173,6 +179,7 @@ impl Inbox {
         self.transfers.retain(|key, transfer| {
             !devices.contains(&key.device) || transfer.phase == TransferPhase::Storing
         });
+        self.drop_arrived(|key| devices.contains(&key.device));
     }
 
     pub(crate) fn credentials(&self) -> &Credentials {
@@ -255,13 +262,20 @@ impl Inbox {
             return bad;
         }
         let outcome = transfer.on_chunk(now, chunk);
+        let begins_anew = transfer.received_bytes() == 0;
         match outcome {
             ChunkOutcome::Taken => {
+                self.keep_chunk(key, chunk.index, chunk.payload);
                 self.make_room_for_more(now, key);
                 None
             }
             ChunkOutcome::Known => None,
-            ChunkOutcome::Bad => bad,
+            ChunkOutcome::Bad => {
+                if begins_anew {
+                    self.drop_arrived(|other| *other == key);
+                }
+                bad
+            }
             ChunkOutcome::BadBody(reason) => self.refuse(key, reason),
         }
     }
@@ -303,6 +317,10 @@ impl Inbox {
     pub fn stored(&mut self, key: ModelKey) {
         let Some(transfer) = self.transfers.remove(&key) else { return };
         let hash = transfer.header.blake3;
+        let is_outdated = |other: &ModelKey| {
+            other.device == key.device && other.model <= key.model && !other.model.is_tile()
+        };
+        self.drop_arrived(|other| *other == key || is_outdated(other));
         self.remember(key, hash);
         self.send_done(transfer.want_topic, key, transfer.session, hash);
     }
@@ -326,6 +344,7 @@ impl Inbox {
     /// Drops an unfinished model, and sends `reason` to the model's sender.
     pub fn refuse(&mut self, key: ModelKey, reason: RefusalReason) -> Option<InboxEvent> {
         let transfer = self.transfers.remove(&key)?;
+        self.drop_arrived(|other| *other == key);
         self.send_refused(transfer.want_topic, key, transfer.session, reason);
         Some(InboxEvent::Refused(key, reason))
     }
@@ -333,19 +352,6 @@ impl Inbox {
     /// Bytes that the bodies take which are being received or stored.
     pub fn unfinished_bytes(&self) -> u64 {
         self.transfers.values().map(Transfer::claim).sum()
-    }
-
-    /// Headers of the models of which chunks are missing.
-    pub fn unfinished(&self) -> impl Iterator<Item = &ModelHeader> {
-        let fetching = |transfer: &&Transfer| matches!(transfer.phase, TransferPhase::Fetching { .. });
-        self.transfers.values().filter(fetching).map(|transfer| &transfer.header)
-    }
-
-    /// Decodes the packs of an unfinished model that have arrived into the body's own frame, which is returned. Returns
-    /// `None` if no splats have arrived or the packs are invalid. Also returns `None` if models must be signed: the
-    /// signature covers the hash of the whole body, which cannot be checked before the body is complete.
-    pub fn part(&self, key: ModelKey) -> Option<(LocalFrame, Model)> {
-        self.transfers.get(&key).filter(|_| self.credentials.trusted.is_none())?.part()
     }
 
     /// Checks the frame and the number of an offer.
@@ -382,7 +388,7 @@ impl Inbox {
         };
         let transfer = Transfer::new(now, header, session, claim, self.want_topic(topic)?);
         self.transfers.insert(key, transfer);
-        Some(InboxEvent::Receiving(header))
+        self.resume(now, key).or(Some(InboxEvent::Receiving(header)))
     }
 
     /// A model for which there is something to do now.
@@ -429,6 +435,9 @@ impl Inbox {
             key.device != newest.device
                 || key.model > newest.model
                 || transfer.phase == TransferPhase::Storing
+        });
+        self.drop_arrived(|key| {
+            key.device == newest.device && key.model < newest.model && !key.model.is_tile()
         });
     }
 

@@ -11,6 +11,7 @@
 //! [`inbox`] are the sending and the receiving half of the protocol. [`transport`] is the interface to the
 //! network.
 
+mod arrived;
 mod bits;
 pub mod body;
 pub mod codec;

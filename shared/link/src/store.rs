@@ -97,13 +97,8 @@ impl ModelStore {
 
     /// Writes a model. The model survives a power cut once this function has returned.
     pub fn put(&self, header: &ModelHeader, body: &[u8]) -> Result<(), StoreError> {
-        let key = ModelKey::from(header);
-        let mut buffer = [0; MAX_CONTROL_BYTES];
-        // Cannot fail: a test of the wire crate checks the largest header.
-        let head = Message::Header(*header).encode(&mut buffer).expect("a header fits MAX_CONTROL_BYTES");
-        atomic::write(&self.path(key), |out| {
-            out.write_all(&(head.len() as u16).to_le_bytes())?;
-            out.write_all(head)?;
+        atomic::write(&self.path(header.into()), |out| {
+            out.write_all(&head_of(header))?;
             out.write_all(body)
         })?;
         Ok(())
@@ -142,7 +137,8 @@ impl ModelStore {
         let failed = |cause| SceneError::io(&self.folder, cause);
         let mut keys = Vec::new();
         for entry in fs::read_dir(&self.folder).map_err(failed)? {
-            keys.extend(entry.map_err(failed)?.file_name().to_str().and_then(key_of));
+            let name = entry.map_err(failed)?.file_name();
+            keys.extend(name.to_str().and_then(|name| key_of(name, EXTENSION)));
         }
         Ok(keys)
     }
@@ -197,19 +193,38 @@ impl ModelStore {
 
 /// The key of a model by the name of its file.
 fn key_of_file(path: &Path) -> Option<ModelKey> {
-    key_of(path.file_name()?.to_str()?)
+    key_of(path.file_name()?.to_str()?, EXTENSION)
 }
 
-fn key_of(name: &str) -> Option<ModelKey> {
-    let (device, number) = name.strip_suffix(EXTENSION)?.strip_suffix('.')?.split_once('.')?;
+/// The key in the name of a file `{device}.{model}.{extension}`.
+pub(crate) fn key_of(name: &str, extension: &str) -> Option<ModelKey> {
+    let (device, number) = name.strip_suffix(extension)?.strip_suffix('.')?.split_once('.')?;
     Some(ModelKey { device: device.parse().ok()?, model: number.parse().ok()? })
 }
 
 /// Reads the header, and checks that the file has the size that follows from the header. Returns the file,
 /// positioned at the start of the body.
 fn open_file(path: &Path) -> Result<(fs::File, ModelHeader), SceneError> {
-    let failed = |cause| SceneError::io(path, cause);
     let mut file = files::open(path)?;
+    let (header, head_bytes) = read_head(path, &mut file)?;
+    let size = file.metadata().map_err(|cause| SceneError::io(path, cause))?.len();
+    if size != head_bytes + header.body_bytes {
+        return Err(malformed(path, "its size does not match its header"));
+    }
+    Ok((file, header))
+}
+
+/// The beginning of a file of a model: the length of the header, and the header.
+pub(crate) fn head_of(header: &ModelHeader) -> Vec<u8> {
+    let mut buffer = [0; MAX_CONTROL_BYTES];
+    // Cannot fail: a test of the wire crate checks the largest header.
+    let head = Message::Header(*header).encode(&mut buffer).expect("a header fits MAX_CONTROL_BYTES");
+    [&(head.len() as u16).to_le_bytes(), &*head].concat()
+}
+
+/// Reads what [`head_of`] makes. Returns the header and the number of bytes read.
+pub(crate) fn read_head(path: &Path, file: &mut impl Read) -> Result<(ModelHeader, u64), SceneError> {
+    let failed = |cause| SceneError::io(path, cause);
     let mut length = [0; 2];
     file.read_exact(&mut length).map_err(failed)?;
     let length = u16::from_le_bytes(length);
@@ -217,16 +232,11 @@ fn open_file(path: &Path) -> Result<(fs::File, ModelHeader), SceneError> {
     let head =
         buffer.get_mut(..usize::from(length)).ok_or_else(|| malformed(path, "its header is too long"))?;
     file.read_exact(head).map_err(failed)?;
-    let header = match Message::decode_stored(head) {
-        Ok(Message::Header(header)) => header,
-        Ok(_) => return Err(malformed(path, "it does not begin with a header")),
-        Err(error) => return Err(malformed(path, &error.to_string())),
-    };
-    let size = file.metadata().map_err(failed)?.len();
-    if size != 2 + u64::from(length) + header.body_bytes {
-        return Err(malformed(path, "its size does not match its header"));
+    match Message::decode_stored(head) {
+        Ok(Message::Header(header)) => Ok((header, 2 + u64::from(length))),
+        Ok(_) => Err(malformed(path, "it does not begin with a header")),
+        Err(error) => Err(malformed(path, &error.to_string())),
     }
-    Ok((file, header))
 }
 
 /// Reads the header of a file whose body has the header's hash, and whose name is that of its model.

@@ -249,6 +249,40 @@ impl Transfer {
         if self.received.len() < self.header.chunks() { ChunkOutcome::Taken } else { self.on_complete(now) }
     }
 
+    /// Takes over what had arrived of the model before a restart, at most `bytes`: [`Self::place`] follows for each chunk, and
+    /// then [`Self::resume`]. So much counts as arrived until then.
+    pub(crate) fn expect(&mut self, bytes: u64) {
+        self.received_bytes = bytes.min(self.header.body_bytes);
+    }
+
+    /// Puts bytes that had arrived before into the body, if there is room for them.
+    pub(crate) fn place(&mut self, first: u64, bytes: &[u8]) {
+        // Always succeeds: the body is shared only once it is complete.
+        let Some(body) = Arc::get_mut(&mut self.body) else { return };
+        let place = first as usize..first as usize + bytes.len();
+        if let Some(place) = body.get_mut(place) {
+            place.copy_from_slice(bytes);
+        }
+    }
+
+    /// Counts the chunks as received that lie within these ranges of the body and have room.
+    pub(crate) fn resume(&mut self, now: Duration, here: &[Range<u64>]) -> ChunkOutcome {
+        let claim = self.claim();
+        let is_here = |range: &Range<u64>| {
+            let after = here.partition_point(|other| other.start <= range.start);
+            range.end <= claim && after.checked_sub(1).is_some_and(|last| range.end <= here[last].end)
+        };
+        self.received_bytes = 0;
+        for index in 0..self.header.chunks() {
+            if let Some(range) = self.header.chunk_range(index).filter(is_here) {
+                self.received.insert(index);
+                self.received_bytes += range.end - range.start;
+            }
+        }
+        self.phase = TransferPhase::Fetching { want_at: now };
+        if self.received.len() < self.header.chunks() { ChunkOutcome::Taken } else { self.on_complete(now) }
+    }
+
     /// Makes the `Want` that is due now.
     pub(crate) fn want(&mut self, now: Duration) -> Want {
         let missing = Missing::of(self.header.chunks(), |index| self.received.contains(index));

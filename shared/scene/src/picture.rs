@@ -1,5 +1,6 @@
 //! 8-bit colour pictures in memory, and their files.
 
+mod chunks;
 mod files;
 mod header;
 mod pixels;

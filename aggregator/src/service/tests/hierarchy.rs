@@ -68,7 +68,9 @@ struct Level {
 
 impl Level {
     fn open(network: &MemoryNetwork, folder: &Path, site: &str, below: &[String], size: Size) -> Self {
-        let ground = testing::identity(site, "aggregator", Role::Aggregator);
+        // As in the field, sessions have far higher numbers than revisions.
+        let session = 1_800_000_000;
+        let ground = Identity { session, ..testing::identity(site, "aggregator", Role::Aggregator) };
         let mut service = Service::open(ServiceConfig {
             identity: ground,
             folder: folder.join(site),

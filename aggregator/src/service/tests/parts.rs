@@ -12,17 +12,22 @@ use crate::testing::QUICK;
 /// The model of agent-1 has no ground east of this x.
 const BEYOND: f32 = 16.0;
 
-/// A drone that sends `model` in small chunks, the easternmost splats first.
-fn slow_drone(network: &MemoryNetwork, number: u64, model: &Model) -> Drone {
-    let mut drone = Drone::new(network, "agent-2", number, model);
+/// An upload of `model` in small chunks, the easternmost splats first.
+fn slow_offer(number: u64, model: &Model) -> Offer {
     let Model { splats, cameras } = model;
     let device = DeviceId::new("agent-2").unwrap();
     let east: Vec<f32> = splats.means.iter().map(|mean| mean[0]).collect();
     let body = model_to_body(splats, cameras, &LocalFrame::WORLD, FirstLayer::ByImportance(&east)).unwrap();
     let mut offer = Offer::from_body(device, ModelId(number), ModelKind::Local, 3, body).unwrap();
     offer.header.chunk_bytes = 256;
+    offer
+}
+
+/// A drone with such an upload.
+fn slow_drone(network: &MemoryNetwork, number: u64, model: &Model) -> Drone {
+    let mut drone = Drone::new(network, "agent-2", number, model);
     drone.node = Node::new(identity("agent-2", Role::Device), LIMITS, &[]);
-    drone.node.upload(offer);
+    drone.node.upload(slow_offer(number, model));
     drone
 }
 
@@ -99,6 +104,53 @@ fn the_part_of_a_stalled_upload_is_used_until_the_rest_arrives() {
         "a resumed upload gives the same bytes as an uninterrupted one"
     );
     assert_eq!(fs::read_dir(site.join("parts")).unwrap().count(), 0);
+}
+
+/// Bytes that a drone sends until its model is stored, if the service is killed `kills` times on the way.
+fn sent_despite_kills(kills: u32) -> u64 {
+    let folder = tempfile::tempdir().unwrap();
+    let network = slow_network(5);
+    let names = fleet(&["agent-1", "agent-2"]);
+    let mut ground = open_with(&network, folder.path(), names.clone(), QUICK);
+    let model = model(3000, 0, 2.0);
+    let mut drone = slow_drone(&network, 1, &model);
+    let body_bytes = slow_offer(1, &model).header.body_bytes;
+    let mut killed = 0;
+    loop {
+        let now = network.now();
+        assert!(now < PATIENCE, "the model does not arrive");
+        if let Some(NodeEvent::Uploaded(_, progress)) =
+            drone.node.step(&mut drone.transport, || now, Duration::ZERO)
+        {
+            assert_eq!(killed, kills);
+            return progress.bytes_sent;
+        }
+        let _ =
+            ground.service.step(&mut ground.transport, || now, Duration::ZERO, |_| ControlFlow::Continue(()));
+        network.advance(now + Duration::from_millis(5));
+        let here = on_disk(folder.path());
+        if killed < kills && here > u64::from(killed + 1) * body_bytes / u64::from(kills + 1) {
+            network.leave(ground.transport);
+            drop(ground.service);
+            ground = open_with(&network, folder.path(), names.clone(), QUICK);
+            killed += 1;
+        }
+    }
+}
+
+/// Bytes of unfinished models in the folder of a service.
+fn on_disk(folder: &Path) -> u64 {
+    let entries = fs::read_dir(folder.join("models")).unwrap().map(|entry| entry.unwrap());
+    let arrived = entries.filter(|entry| entry.path().extension().is_some_and(|its| its == "arrived"));
+    arrived.map(|entry| entry.metadata().unwrap().len()).sum()
+}
+
+#[test]
+fn a_killed_service_goes_on_with_an_unfinished_upload() {
+    let (calm, killed) = (sent_despite_kills(0), sent_despite_kills(4));
+    // Each kill loses what is on the line, here of two seconds. If it lost all that had arrived, three times as much would
+    // be sent.
+    assert!(killed < calm + calm / 2, "{killed} bytes were sent, {calm} without kills");
 }
 
 #[test]

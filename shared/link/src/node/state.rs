@@ -1,6 +1,7 @@
 //! The state of a node, and the calls that change it.
 
 use std::collections::{BTreeMap, BTreeSet, VecDeque};
+use std::path::Path;
 use std::time::Duration;
 
 use cosurf_scene::{Camera, LocalFrame};
@@ -25,6 +26,7 @@ use crate::inbox::{Inbox, InboxLimits};
 use crate::key::ModelKey;
 use crate::offer::Offer;
 use crate::sealing::Sealer;
+use crate::store::StoreError;
 use crate::transport::Outgoing;
 use crate::trust::Credentials;
 use crate::uploader::{DEVICES_MAX, Uploader};
@@ -279,13 +281,18 @@ impl Node {
         self.inbox.unfinished_bytes()
     }
 
-    /// Headers of the models of which chunks are missing.
+    /// Keeps what arrives of unfinished models in a folder, so that it outlasts a restart. See [`Inbox::keep_arrived`].
+    pub fn keep_arrived(&mut self, folder: &Path) -> Result<(), StoreError> {
+        self.inbox.keep_arrived(folder)
+    }
+
+    /// Headers of the models of which only a part is here. See [`Inbox::unfinished`].
     pub fn unfinished(&self) -> impl Iterator<Item = &ModelHeader> {
         self.inbox.unfinished()
     }
 
     /// Decodes the packs of an unfinished model that have arrived. See [`Inbox::part`].
-    pub fn part(&self, key: ModelKey) -> Option<(LocalFrame, Model)> {
+    pub fn part(&mut self, key: ModelKey) -> Option<(LocalFrame, Model)> {
         self.inbox.part(key)
     }
 }

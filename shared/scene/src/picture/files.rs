@@ -5,11 +5,12 @@ use std::io::{self, BufRead, BufReader, Cursor, Read, Seek, SeekFrom};
 use std::path::Path;
 
 use image::codecs::jpeg::{JpegDecoder, JpegEncoder};
-use image::codecs::png::PngEncoder;
+use image::codecs::png::{PngDecoder, PngEncoder};
 use image::{
     DynamicImage, ExtendedColorType, ImageDecoder, ImageEncoder, ImageError, ImageFormat, ImageReader, Limits,
 };
 
+use super::chunks::Chunks;
 use super::header::{PictureHeader, Way};
 use super::pixels::Picture;
 use super::resize::area_average_of;
@@ -74,16 +75,28 @@ fn read_whole(
     if header.format == ImageFormat::Jpeg {
         check_end(path, header)?;
     }
-    let mut reader = ImageReader::with_format(open()?, header.format);
     let mut limits = Limits::no_limits();
     limits.max_alloc = Some(header.decode_bytes);
-    reader.limits(limits);
-    let image = reader.decode().map_err(|error| {
+    let file = open()?;
+    let image = match header.format {
+        ImageFormat::Png => decode_png(file, limits),
+        format => {
+            let mut reader = ImageReader::with_format(file, format);
+            reader.limits(limits);
+            reader.decode()
+        }
+    };
+    let image = image.map_err(|error| {
         let error = error.to_string().replace('\n', " ");
         let reason = format!("cannot be decoded ({error}); fetch the picture again or leave it out");
         SceneError::malformed(path, reason)
     })?;
     Ok(Picture::new([image.width(), image.height()], rgb_of(image)))
+}
+
+fn decode_png(file: BufReader<File>, limits: Limits) -> Result<DynamicImage, ImageError> {
+    let chunks = Chunks::of_pixels(file).map_err(ImageError::IoError)?;
+    DynamicImage::from_decoder(PngDecoder::with_limits(BufReader::new(chunks), limits)?)
 }
 
 fn cut_short(path: &Path) -> SceneError {
@@ -107,15 +120,20 @@ pub(super) fn size_of_whole(path: &Path) -> Result<[u32; 2], SceneError> {
 pub(super) fn orientation(path: &Path) -> Option<u8> {
     let header = PictureHeader::read(path).ok()?;
     let file = File::open(path).map(BufReader::new).ok()?;
-    if header.format != ImageFormat::Jpeg {
-        let mut decoder = ImageReader::with_format(file, header.format).into_decoder().ok()?;
-        return Some(decoder.orientation().ok()?.to_exif());
-    }
-    // The decoder reads the whole input into memory.
-    let mut head = Vec::new();
-    Segments::of_head(file).take(HEAD_BYTES_MAX).read_to_end(&mut head).ok()?;
-    let mut decoder = JpegDecoder::new(Cursor::new(head)).ok()?;
-    Some(decoder.orientation().ok()?.to_exif())
+    let orientation = match header.format {
+        ImageFormat::Jpeg => {
+            // The decoder reads the whole input into memory.
+            let mut head = Vec::new();
+            Segments::of_head(file).take(HEAD_BYTES_MAX).read_to_end(&mut head).ok()?;
+            JpegDecoder::new(Cursor::new(head)).ok()?.orientation()
+        }
+        ImageFormat::Png => {
+            let chunks = BufReader::new(Chunks::with_exif(file).ok()?);
+            PngDecoder::new(chunks).ok()?.orientation()
+        }
+        format => ImageReader::with_format(file, format).into_decoder().ok()?.orientation(),
+    };
+    Some(orientation.ok()?.to_exif())
 }
 
 /// Whether a PNG ends with its last chunk: the name IEND and a checksum.

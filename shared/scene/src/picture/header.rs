@@ -172,7 +172,7 @@ fn read_other(input: &mut (impl BufRead + Seek), format: ImageFormat) -> io::Res
     Ok(Facts { format, size_px, bytes_per_pixel, data_offset: 0, is_in_order: false, has_alpha })
 }
 
-fn invalid(reason: &str) -> io::Error {
+pub(super) fn invalid(reason: &str) -> io::Error {
     io::Error::new(io::ErrorKind::InvalidData, reason)
 }
 

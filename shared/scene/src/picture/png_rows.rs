@@ -8,6 +8,7 @@ use std::path::Path;
 use image::{DynamicImage, GrayAlphaImage, GrayImage, ImageBuffer, RgbImage, RgbaImage};
 use png::{BitDepth, ColorType, Decoder, DecodingError, Limits, Transformations};
 
+use super::chunks::Chunks;
 use super::header::PictureHeader;
 use super::pixels::Picture;
 use super::resize::AreaAverage;
@@ -20,12 +21,11 @@ pub(super) fn read(
     size_px: [u32; 2],
     rgb_of: fn(DynamicImage) -> Vec<u8>,
 ) -> Result<Picture, SceneError> {
-    let file = File::open(path).map_err(|cause| SceneError::io(path, cause))?;
+    let file = File::open(path).map(BufReader::new).and_then(Chunks::of_pixels);
+    let file = file.map_err(|cause| SceneError::io(path, cause))?;
     let limits = Limits { bytes: usize::try_from(header.rows_bytes()).unwrap_or(usize::MAX) };
     let mut decoder = Decoder::new_with_limits(BufReader::new(file), limits);
     decoder.set_transformations(Transformations::EXPAND);
-    decoder.set_ignore_text_chunk(true);
-    decoder.set_ignore_iccp_chunk(true);
     let failed = |error: DecodingError| {
         let error = error.to_string().replace('\n', " ");
         let reason = format!("cannot be decoded ({error}); fetch the picture again or leave it out");

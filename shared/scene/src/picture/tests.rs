@@ -171,6 +171,25 @@ fn profiles_change_neither_pixels_nor_memory() {
 }
 
 #[test]
+fn metadata_of_a_png_changes_neither_pixels_nor_memory() {
+    let path = FOLDER.with(|folder| folder.path().join("metadata.png"));
+    let picture = smooth([160, 120]);
+    picture.write_png(&path).unwrap();
+    let scratch = || Picture::scratch_bytes(&path, [40, 30], Shrinking::AfterDecoding).unwrap();
+    let (shrunk, bytes) = (picture.resized([40, 30]), scratch());
+    let content = vec![7; 4 << 20];
+    let data = [&(content.len() as u32).to_be_bytes()[..], b"eXIf", &content, b"sum."].concat();
+    let file = fs::read(&path).unwrap();
+    // Behind the first chunk, and before the last one.
+    let (first, last) = (33, file.len() - 12);
+    let parts = [&file[..first], &data, &file[first..last], &data, &file[last..]];
+    fs::write(&path, parts.concat()).unwrap();
+    assert!(Picture::read(&path).unwrap() == picture);
+    assert!(Picture::read_fitted(&path, [40, 30]).unwrap() == shrunk && scratch() == bytes);
+    assert_eq!(Picture::orientation(&path), Some(1));
+}
+
+#[test]
 fn unit_colors_are_rounded_and_clamped() {
     let picture = Picture::from_unit([2, 1], &[-1.0, 0.5, 2.0, 1.0 / 255.0, f32::NAN, 0.499 / 255.0]);
     assert_eq!(picture.rgb, [0, 128, 255, 1, 0, 0]);
