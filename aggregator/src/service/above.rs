@@ -173,8 +173,9 @@ impl Above {
         self.link.store.keys().is_ok_and(|keys| !keys.contains(&newest.into()))
     }
 
-    /// Writes the model of which all devices have their tiles, as the devices get it. `own` is the number of the edge's own
-    /// newest revision, and `next` the next free number. Returns whether the devices have to be told.
+    /// Writes the model of which all devices have their tiles, as the devices get it. `own` is the highest number that they
+    /// may have of another model, such as the edge's own newest revision, and `next` the next free number. Returns whether
+    /// the devices have to be told.
     pub(super) fn finish(
         &mut self,
         handed: &mut Sent,

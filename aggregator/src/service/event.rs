@@ -140,8 +140,8 @@ pub enum ServiceEvent {
         /// The reason.
         reason: RefusalReason,
     },
-    /// An agent has a global model of a folder that was lost. The models are merged anew, under a number that is higher than
-    /// those of the lost folder.
+    /// An agent has a global model of a folder or file that was lost. The model is sent again, under a number that is higher
+    /// than those that were lost.
     Outnumbered {
         /// The agent.
         by: DeviceId,
@@ -243,7 +243,7 @@ impl fmt::Display for ServiceEvent {
             Self::Refused { by, reason } => write!(f, "{by} refuses the global model: {reason}"),
             Self::Outnumbered { by } => write!(
                 f,
-                "{by} has a global model of this number that is not in this folder: the models are merged anew under a \
+                "{by} has a global model of this number that is not in this folder: the model is sent again under a \
                  higher number"
             ),
             Self::SameName { device } => {

@@ -811,11 +811,16 @@ impl Keeper {
     /// a device that refuses everything makes no more than one jump in a session. Returns whether there is one.
     fn jump(&mut self, refused: ModelId, now: Duration) -> bool {
         let session = ModelId(self.session);
-        if self.own_number().max(self.handed.number()) != Some(refused) || refused >= session {
+        let (own, handed) = (self.own_number(), self.handed.number());
+        if own.max(handed) != Some(refused) || refused >= session {
             return false;
         }
         self.used = self.used.max(Some(session));
-        self.round = Some(Round::at_once(self.round.take(), now));
+        // The aggregator above need not offer again what it has offered.
+        let from_above = self.above.as_ref().and_then(Above::newest).filter(|_| handed > own);
+        if from_above.is_none_or(|model| self.hand_on(model, true).is_err()) {
+            self.round = Some(Round::at_once(self.round.take(), now));
+        }
         true
     }
 
@@ -858,7 +863,7 @@ impl Keeper {
     }
 
     fn finish_handing_on(&mut self, node: &mut Node) -> Result<(), ServiceError> {
-        let (own, next) = (self.own_number(), self.next_number());
+        let (own, next) = (self.own_number().max(self.used), self.next_number());
         let Some(above) = &mut self.above else { return Ok(()) };
         if above.finish(&mut self.handed, self.device, own, next)? {
             self.rebroadcast.begin(node, &self.handed, &self.receivers())?;
