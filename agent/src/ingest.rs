@@ -2,7 +2,7 @@
 //!
 //! COLMAP finds where the photographs were taken ([`stages`]), in a frame and a scale of its own. GPS and control points
 //! tell where that frame lies ([`placing`]), and straighten it ([`adjustment`]); then the dataset is written in ENU of the
-//! site ([`publishing`]).
+//! site ([`publishing`]). Photographs whose poses another tool has found are only undistorted ([`given`]).
 //!
 //! The folder `.ingest` of the dataset keeps COLMAP's work, so that a run that was stopped goes on where it was. A finished
 //! dataset has `ingest.json`, too: by it, the folder is ours even without `.ingest`.
@@ -13,6 +13,7 @@ mod adjustment;
 mod colmap;
 mod control;
 mod error;
+mod given;
 mod lens;
 mod masks;
 mod pairs;
@@ -33,8 +34,10 @@ use cosurf_scene::{Dataset, FolderLock, SceneError, files};
 
 use colmap::Colmap;
 pub use error::IngestError;
+use given::Given;
 use photographs::Photographs;
 use placing::{Places, up_of};
+use publishing::Poses;
 use recipe::Recipe;
 use reconstruction::Reconstruction;
 use settling::settle;
@@ -73,15 +76,18 @@ pub struct Ingested {
 /// were taken. Its frame is then one of its own. Of other datasets, the user knows the frame.
 pub fn is_without_place(data: &Path) -> bool {
     let folder = files::folder_of(data);
-    publishing::is_finished(folder) && !folder.join(Georeference::FILE).is_file()
+    publishing::is_finished(folder, Poses::Found) && !folder.join(Georeference::FILE).is_file()
 }
 
-/// Makes a dataset. `tell` gets progress, and what is left out.
+/// Makes a dataset. If the folder has poses, they are taken, and only the pictures are undistorted. `tell` gets progress, and what is left out.
 pub fn ingest(plan: &IngestPlan, tell: &mut dyn FnMut(AgentEvent)) -> Result<Ingested, IngestError> {
     let work = plan.out.join(WORK);
     refuse_occupied(&plan.out, &work)?;
     let _lock = FolderLock::take(&work, "cosurf-agent ingest")?;
     let colmap = Colmap::find(&plan.colmap)?;
+    if Dataset::has_poses(&plan.photographs) {
+        return ingest_given(plan, &colmap, &work, tell);
+    }
     let photographs = masks::prepare(Photographs::read(&plan.photographs)?, &work)?;
     let count = photographs.usable.len();
     let all = count + photographs.left_out.len();
@@ -117,14 +123,38 @@ pub fn ingest(plan: &IngestPlan, tell: &mut dyn FnMut(AgentEvent)) -> Result<Ing
     publishing::publish(&plan.out, &work, &dataset, georeference.as_ref())?;
     let (posed, points) = (dataset.views.len(), dataset.points.len());
     let report = IngestReport { photographs: all, posed, points, georeferenced: georeference.is_some() };
-    publishing::finish(&plan.out, &photographs.folder, &report)?;
+    publishing::finish(&plan.out, &photographs.folder, &report, Poses::Found)?;
     tell(AgentEvent::Ingested { report: report.clone() });
     Ok(Ingested { report, georeference })
 }
 
+/// Makes a dataset of photographs whose poses another tool has found.
+fn ingest_given(
+    plan: &IngestPlan,
+    colmap: &Colmap,
+    work: &Path,
+    tell: &mut dyn FnMut(AgentEvent),
+) -> Result<Ingested, IngestError> {
+    let given = Given::read(&plan.photographs, work, plan.origin)?;
+    let dataset = given.undistort(colmap, work, plan.max_size_px, tell)?;
+    for masks in ["masks", "masks_inverted"].map(|name| plan.photographs.join(name)) {
+        if masks.is_dir() {
+            let reason =
+                "masks of pictures with given poses are not undistorted; undistort them yourself".into();
+            tell(AgentEvent::LeftOut { name: masks.display().to_string(), reason });
+        }
+    }
+    publishing::publish(&plan.out, work, &dataset, given.georeference.as_ref())?;
+    let report = given.report(&dataset);
+    publishing::finish(&plan.out, &plan.photographs, &report, Poses::Given)?;
+    tell(AgentEvent::Ingested { report: report.clone() });
+    Ok(Ingested { report, georeference: given.georeference })
+}
+
 /// An existing dataset of somebody else must not be replaced, nor the photographs by their undistorted pictures.
 fn refuse_occupied(out: &Path, work: &Path) -> Result<(), IngestError> {
-    let is_ours = work.is_dir() || publishing::is_finished(out);
+    let is_ours = work.is_dir()
+        || [Poses::Found, Poses::Given].iter().any(|poses| publishing::is_finished(out, *poses));
     let is_empty = match fs::read_dir(out) {
         Ok(mut entries) => entries.next().is_none(),
         Err(cause) if cause.kind() == std::io::ErrorKind::NotFound => true,

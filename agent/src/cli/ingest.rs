@@ -8,6 +8,7 @@ use clap::Args;
 use cosurf_agent::ingest::{IngestPlan, Ingested, ingest};
 use cosurf_contract::counted;
 use cosurf_geo::{Geodetic, Georeference, PointResidual};
+use cosurf_scene::Dataset;
 
 use super::progress::Progress;
 
@@ -16,7 +17,8 @@ use super::progress::Progress;
 ///
 /// Writes DATA/images, DATA/sparse/0 (x east, y north, z up, metres about the site's origin) and DATA/geo.json. Reads EXIF,
 /// and `geo.txt` and `gcp_list.txt` in the formats of ODM if they lie beside the photographs. Without GPS and control points,
-/// scale and place stay unknown, and there is no geo.json. To resume after a stop or a kill, run the same command again.
+/// scale and place stay unknown, and there is no geo.json. If PHOTOS has poses already (COLMAP, transforms.json, cameras of
+/// Metashape or RealityCapture), they are kept, and COLMAP only undistorts the pictures. To resume after a stop or a kill, run the same command again.
 /// COLMAP's work lies in DATA/.ingest, which may be deleted afterwards: then the same command begins from the start.
 #[derive(Args, Debug)]
 pub(super) struct IngestArgs {
@@ -60,6 +62,9 @@ fn print(ingested: &Ingested, args: &IngestArgs) -> Result<()> {
     writeln!(stdout, "{} of {} photographs, {points}", report.posed, report.photographs)?;
     match &ingested.georeference {
         Some(georeference) => print_place(&mut stdout, georeference)?,
+        None if Dataset::has_poses(&args.photos) => {
+            writeln!(stdout, "the world is that of the poses in {}", args.photos.display())?
+        }
         None => writeln!(
             stdout,
             "scale and place are unknown, only z is up: put a geo.txt or a gcp_list.txt beside the photographs"

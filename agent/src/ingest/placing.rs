@@ -174,7 +174,7 @@ fn geodetic(gps: &Gps) -> Geodetic {
 }
 
 /// The median of places, rounded to [`ORIGIN_STEP_DEG`] and whole metres.
-fn round_median(places: &[Geodetic]) -> Geodetic {
+pub(super) fn round_median(places: &[Geodetic]) -> Geodetic {
     let median = |value: fn(&Geodetic) -> f64| {
         let mut values: Vec<f64> = places.iter().map(value).collect();
         values.sort_by(f64::total_cmp);

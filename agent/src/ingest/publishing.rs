@@ -7,7 +7,7 @@ use std::path::Path;
 use cosurf_contract::IngestReport;
 use cosurf_geo::Georeference;
 use cosurf_scene::{Dataset, SceneError, atomic, colmap};
-use serde::Serialize;
+use serde::{Deserialize, Serialize};
 
 use super::error::IngestError;
 use super::stages::remove;
@@ -39,25 +39,50 @@ pub(super) fn publish(
     Ok(())
 }
 
+/// Where the poses of a dataset come from.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Serialize, Deserialize)]
+#[serde(rename_all = "snake_case")]
+pub(super) enum Poses {
+    /// COLMAP found them here.
+    #[default]
+    Found,
+    /// Another tool found them.
+    Given,
+}
+
 /// What a dataset was made of: the content of `ingest.json`.
 #[derive(Serialize)]
 struct Origin<'a> {
     photographs_folder: &'a Path,
     report: &'a IngestReport,
+    poses: Poses,
+}
+
+/// What [`is_finished`] reads of it.
+#[derive(Deserialize)]
+struct Noted {
+    #[serde(default)]
+    poses: Poses,
 }
 
 /// Notes what a published dataset was made of, so that a later run knows it for one of ours.
-pub(super) fn finish(out: &Path, photographs: &Path, report: &IngestReport) -> Result<(), IngestError> {
-    let origin = Origin { photographs_folder: photographs, report };
+pub(super) fn finish(
+    out: &Path,
+    photographs: &Path,
+    report: &IngestReport,
+    poses: Poses,
+) -> Result<(), IngestError> {
+    let origin = Origin { photographs_folder: photographs, report, poses };
     let path = out.join(FINISHED);
     let json = serde_json::to_vec_pretty(&origin);
     let json = json.map_err(|error| SceneError::io(&path, error.into()))?;
     Ok(atomic::write_bytes(&path, &json)?)
 }
 
-/// Whether a folder has a dataset that was made of photographs.
-pub(super) fn is_finished(out: &Path) -> bool {
-    out.join(FINISHED).is_file()
+/// Whether a folder has a dataset that was made of photographs, with poses from there.
+pub(super) fn is_finished(out: &Path, poses: Poses) -> bool {
+    let noted = || serde_json::from_slice::<Noted>(&fs::read(out.join(FINISHED)).ok()?).ok();
+    noted().is_some_and(|noted| noted.poses == poses)
 }
 
 /// Replaces a folder of pictures, given by name and file, in one step. Without pictures, there is no folder.

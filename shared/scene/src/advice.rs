@@ -12,8 +12,6 @@ const PICTURES: [&str; 7] = ["jpg", "jpeg", "png", "webp", "tif", "tiff", "bmp"]
 const VIDEOS: [&str; 6] = ["mp4", "mov", "avi", "mkv", "m4v", "webm"];
 /// Extensions of archives.
 const ARCHIVES: [&str; 5] = ["zip", "tar", "gz", "7z", "rar"];
-/// What other tools call their files of poses, and the tool.
-const OTHER_TOOLS: [(&str, &str); 1] = [("cameras.xml", "Metashape")];
 
 /// What to do with a file that is no `transforms.json`; `None` if it may be one.
 pub(crate) fn for_file(path: &Path) -> Option<String> {
@@ -28,7 +26,11 @@ pub(crate) fn for_file(path: &Path) -> Option<String> {
     if is(&PICTURES) {
         return Some("is a picture; give the folder of the dataset".into());
     }
-    is(&["xml", "csv"]).then(|| by_other_tool("another tool"))
+    is(&["xml", "csv"]).then(|| {
+        "is neither Metashape's XML of cameras nor RealityCapture's CSV of `Internal/External camera parameters`; export that, \
+         or let `cosurf-agent ingest PHOTOS --out DATA` find the poses"
+            .into()
+    })
 }
 
 /// Why a folder, or a path that does not exist, is no dataset, and what to do about it.
@@ -44,9 +46,6 @@ pub(crate) fn for_folder(path: &Path) -> String {
             project.display()
         );
     }
-    if let Some((_, tool)) = OTHER_TOOLS.iter().find(|(file, _)| path.join(file).exists()) {
-        return by_other_tool(tool);
-    }
     if has_pictures(path) || has_pictures(&path.join("images")) {
         return format!(
             "holds photographs without poses; run `cosurf-agent ingest {} --out DATA`, then give DATA",
@@ -57,15 +56,8 @@ pub(crate) fn for_folder(path: &Path) -> String {
         let name = file.file_name().unwrap_or_default().to_string_lossy().into_owned();
         return format!("holds no dataset; {name} {}", for_file(&file).unwrap_or_default());
     }
-    "holds no dataset; give a folder with images/ and either sparse/0/cameras.bin (COLMAP), transforms.json or reconstruction.json (OpenSfM)"
+    "holds no dataset; give a folder with images/ and either sparse/0/cameras.bin (COLMAP), transforms.json, reconstruction.json (OpenSfM), or cameras of Metashape or RealityCapture"
         .into()
-}
-
-fn by_other_tool(tool: &str) -> String {
-    format!(
-        "has the poses of {tool}, which are not read; export them as COLMAP, or let `cosurf-agent ingest PHOTOS --out DATA` \
-         find them in the photographs"
-    )
 }
 
 /// Whether some of a folder's first entries are pictures by their names.

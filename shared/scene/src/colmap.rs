@@ -18,7 +18,7 @@ use std::path::{Path, PathBuf};
 use crate::sieve::Sieve;
 use crate::{Dataset, SceneError, View, files};
 use model::Undistortion;
-pub use write::write;
+pub use write::{write, write_shots};
 
 /// The folder that holds a model: `root` or a folder below it; `None` if there is no model. Of several in folders with
 /// numbers, as COLMAP writes them, the one with most pictures.
@@ -67,6 +67,11 @@ fn is_binary(model: &Path) -> bool {
 fn picture_folders(root: &Path, model: &Path) -> Vec<PathBuf> {
     let above = model.ancestors().skip(1).take(2).map(|above| above.join("images"));
     std::iter::once(root.join("images")).chain(above).collect()
+}
+
+/// The folder that most likely holds the pictures of the model in the folder `model`, which is `root` or a folder below it.
+pub(crate) fn picture_folder(root: &Path, model: &Path) -> PathBuf {
+    picture_folders(root, model).into_iter().find(|folder| folder.is_dir()).unwrap_or_else(|| root.to_owned())
 }
 
 /// Reads the model in the folder `model`, which is `root` or a folder below it, and its points into `sieve`. Views keep the

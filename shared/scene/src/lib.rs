@@ -1,7 +1,7 @@
 //! The data types of cosurf and the files that hold them.
 //!
 //! What it is: [`Splats`], [`Camera`], [`View`], [`Picture`], [`Dataset`], [`Mesh`], their files
-//! (COLMAP, `transforms.json`, OpenSfM, PLY, SPZ, GLB, OBJ, JPEG, PNG and others), picture quality ([`metrics`]), exact
+//! (COLMAP, `transforms.json`, OpenSfM, Metashape, RealityCapture, PLY, SPZ, GLB, OBJ, JPEG, PNG and others), picture quality ([`metrics`]), exact
 //! depth of triangle meshes ([`raycast`], which uses [`bvh`]), and the ground that views look at
 //! ([`footprint`], [`outline`]).
 //!
@@ -22,17 +22,21 @@ pub mod camera_list;
 pub mod colmap;
 pub mod colormap;
 pub mod dataset;
+mod distorted;
 pub mod error;
 pub mod files;
 pub mod footprint;
 mod frustum;
+mod layout;
 mod leftovers;
+mod lens;
 mod loader;
 mod local_frame;
 mod lock;
 pub mod mask;
 mod mask_files;
 pub mod mesh;
+mod metashape;
 pub mod metrics;
 pub mod model;
 mod opensfm;
@@ -41,20 +45,26 @@ mod parts;
 pub mod picture;
 pub mod ply;
 pub mod raycast;
+mod realitycapture;
+mod rotation;
+mod shot;
 mod sieve;
 mod space;
 pub mod splats;
 pub mod spz;
 mod transforms;
 pub mod turn;
+mod xml;
 
 pub use base::Base;
 pub use cache::PictureCache;
 pub use camera::{Camera, Pose, evenly_spaced};
 pub use dataset::{Dataset, SparsePoint, View};
+pub use distorted::Distorted;
 pub use error::SceneError;
 pub use footprint::{Footprint, Ground, footprints};
 pub use frustum::{Frustum, Watchers};
+pub use lens::{Distortion, Lens};
 pub use local_frame::{LocalFrame, ORIGIN_MAX};
 pub use lock::FolderLock;
 pub use mask::Mask;
@@ -63,5 +73,6 @@ pub use mesh::Mesh;
 pub use outline::Outline;
 pub use picture::{Picture, Shrinking};
 pub use raycast::{Cast, Caster};
+pub use shot::Shot;
 pub use space::check_space;
 pub use splats::Splats;

@@ -6,10 +6,11 @@ mod tests;
 
 use std::path::{Component, Path, PathBuf};
 
+use crate::layout::Layout;
 use crate::sieve::Sieve;
 use crate::{
-    Camera, Dataset, Picture, SceneError, View, advice, camera_list, colmap, files, leftovers, mask_files,
-    opensfm, transforms,
+    Camera, Dataset, Picture, SceneError, Shot, View, advice, camera_list, colmap, files, leftovers,
+    mask_files, metashape, opensfm, realitycapture, transforms,
 };
 
 /// Reason in the error for a dataset without views.
@@ -19,8 +20,8 @@ const NO_VIEWS: &str = "has no pictures with poses";
 const NOTES_POINTS_BYTES: usize = 4 << 20;
 
 impl Dataset {
-    /// Opens a COLMAP model, a `transforms.json` or a `reconstruction.json` of OpenSfM. For the latter two, `path` is the file or its
-    /// folder. For a COLMAP model, `path` is the model's folder, or a folder with the model in
+    /// Opens a COLMAP model, a `transforms.json`, a `reconstruction.json` of OpenSfM, or the cameras of Metashape (XML) or
+    /// RealityCapture (CSV or XMP). For all but COLMAP's, `path` is the file or its folder. For a COLMAP model, `path` is the model's folder, or a folder with the model in
     /// `sparse/0`, `sparse` or `0`. COLMAP's pictures are in `path/images`, in a folder `images`
     /// beside the model's folder or one level further up, or in `path` itself.
     ///
@@ -96,39 +97,6 @@ impl Dataset {
     }
 }
 
-/// Where the poses of a dataset are: a file, or the folder of a COLMAP model.
-enum Layout {
-    Colmap(PathBuf),
-    Transforms(PathBuf),
-    OpenSfm(PathBuf),
-    CameraList(PathBuf),
-}
-
-impl Layout {
-    fn of_folder(folder: &Path) -> Option<Self> {
-        let file = |name: &str| Some(folder.join(name)).filter(|path| path.is_file());
-        colmap::find_model(folder)
-            .map(Self::Colmap)
-            .or_else(|| file("transforms.json").map(Self::Transforms))
-            .or_else(|| file(opensfm::FILE).map(Self::OpenSfm))
-            .or_else(|| file(camera_list::FILE).map(Self::CameraList))
-    }
-
-    /// The layout of a dataset that is named by a file of its own. Any file that is no known mistake may be a
-    /// `transforms.json` of another name.
-    fn of_file(path: &Path) -> Result<Self, SceneError> {
-        let path_buf = path.to_path_buf();
-        match path.file_name().and_then(|name| name.to_str()) {
-            Some(camera_list::FILE) => Ok(Self::CameraList(path_buf)),
-            Some(opensfm::FILE) => Ok(Self::OpenSfm(path_buf)),
-            _ => match advice::for_file(path) {
-                Some(advice) => Err(SceneError::malformed(path, advice)),
-                None => Ok(Self::Transforms(path_buf)),
-            },
-        }
-    }
-}
-
 /// The views in the file's order, the points, and of how many points in a row one was kept.
 fn read(path: &Path, points_bytes_max: usize) -> Result<(Dataset, usize), SceneError> {
     let mut sieve = Sieve::new(points_bytes_max);
@@ -159,23 +127,25 @@ fn order(path: &Path, dataset: &mut Dataset) -> Result<(), SceneError> {
 }
 
 fn read_into(sieve: &mut Sieve, path: &Path) -> Result<Vec<View>, SceneError> {
-    let layout = match path.is_file() {
-        true => Layout::of_file(path)?,
-        false => {
-            Layout::of_folder(path).ok_or_else(|| SceneError::malformed(path, advice::for_folder(path)))?
-        }
-    };
-    match layout {
+    match Layout::of(path)? {
         Layout::Colmap(model) => colmap::read(path, &model, sieve),
         Layout::Transforms(file) => transforms::read(&file, sieve),
         Layout::OpenSfm(file) => opensfm::read(&file, sieve),
         Layout::CameraList(file) => camera_list::read_views(&file),
+        Layout::Metashape(file) => views(metashape::read(&file)?.shots, &file),
+        Layout::RealityCaptureCsv(file) => views(realitycapture::read_csv(&file)?, &file),
+        Layout::RealityCaptureXmp(files) => views(realitycapture::read_xmp(&files)?, path),
     }
+}
+
+/// The views of an export, unless a lens is distorted.
+fn views(shots: Vec<Shot>, file: &Path) -> Result<Vec<View>, SceneError> {
+    shots.into_iter().map(|shot| shot.into_view(file)).collect()
 }
 
 /// Removes components such as `..` from a picture's name, so that a result file named after the
 /// picture stays inside its folder. `None` if nothing remains or the name has control characters.
-fn inner_name(name: &str) -> Option<String> {
+pub(crate) fn inner_name(name: &str) -> Option<String> {
     let parts = Path::new(name).components().filter_map(|component| match component {
         Component::Normal(part) => part.to_str(),
         _ => None,
@@ -230,7 +200,7 @@ fn in_shrunk_folder(view: &View, factor: u32) -> Option<PathBuf> {
     [path, png].into_iter().find(|path| path.is_file())
 }
 
-fn refuse_missing(views: &[View]) -> Result<(), SceneError> {
+pub(crate) fn refuse_missing(views: &[View]) -> Result<(), SceneError> {
     let mut missing = views.iter().filter(|view| !view.path.is_file());
     let Some(first) = missing.next() else { return Ok(()) };
     if first.path.exists() {
@@ -246,7 +216,7 @@ fn refuse_missing(views: &[View]) -> Result<(), SceneError> {
 
 /// Rescales the view's camera to the size of its picture on disk. Fails if the size cannot be read, or if the picture's
 /// aspect ratio differs from the camera's.
-fn fit_camera(view: &mut View) -> Result<(), SceneError> {
+pub(crate) fn fit_camera(view: &mut View) -> Result<(), SceneError> {
     let found = Picture::size_of(&view.path)?;
     let [width, height] = view.camera.size_px.map(f64::from);
     let ([w, h], [found_width, found_height]) = (found.map(f64::from), found);

@@ -12,19 +12,14 @@ use glam::{DMat3, DQuat, DVec2, DVec3};
 use serde::Deserialize;
 
 use crate::error::Refusal;
+use crate::lens::{Distortion, Lens};
+use crate::rotation::is_rotation;
+use crate::shot::{Shot, find_picture};
 use crate::sieve::Sieve;
-use crate::{Camera, Picture, Pose, SceneError, View, files, mask_files, ply};
+use crate::{Picture, Pose, SceneError, View, mask_files, ply};
 
 /// Longest accepted file, bytes; 10,000 frames take about 10 MB.
 const FILE_BYTES_MAX: u64 = 1 << 28;
-
-/// How far the axes of a pose may deviate from unit length and right angles: the largest accepted
-/// entry of `RᵀR - I`, where `R` is the rotation.
-const ROTATION_TOLERANCE: f64 = 1e-3;
-
-/// Extensions to append if `file_path` names no file: the files of instant-ngp leave the extension
-/// out.
-const EXTENSIONS: [&str; 9] = ["png", "jpg", "jpeg", "webp", "tif", "tiff", "bmp", "JPG", "PNG"];
 
 #[derive(Deserialize)]
 struct Transforms {
@@ -62,7 +57,7 @@ struct Intrinsics {
     camera_angle_x: Option<f64>,
     /// Vertical field of view, radians.
     camera_angle_y: Option<f64>,
-    // Coefficients of lens distortion; all must be 0.
+    // Coefficients of lens distortion.
     k1: Option<f64>,
     k2: Option<f64>,
     k3: Option<f64>,
@@ -72,16 +67,30 @@ struct Intrinsics {
 }
 
 /// Reads the file at `path`, and its points into `sieve`. Views keep the file's order. The pictures may be missing, unless
-/// the file omits their sizes.
+/// the file omits their sizes. Lenses must not be distorted.
 pub(crate) fn read(path: &Path, sieve: &mut Sieve) -> Result<Vec<View>, SceneError> {
     let transforms = parse(path).map_err(|refusal| refusal.of(path))?;
     let folder = path.parent().unwrap_or(Path::new(""));
-    let view = |frame| view_of(folder, &transforms.shared, frame).map_err(|refusal| refusal.of(path));
-    let views = transforms.frames.iter().map(view).collect::<Result<_, _>>()?;
+    let view = |frame: &Frame| {
+        let shot = shot_of(folder, &transforms.shared, frame).map_err(|refusal| refusal.of(path))?;
+        let view = shot.into_view(path)?;
+        let mask = frame.mask_path.as_ref().map(|mask| mask_files::named(folder.join(mask)));
+        // Results are called as the file calls the pictures, which may be without an extension.
+        Ok(View { name: frame.file_path.clone(), mask, ..view })
+    };
+    let views = transforms.frames.iter().map(view).collect::<Result<_, SceneError>>()?;
     if let Some(cloud) = &transforms.ply_file_path {
         ply::read_points_into(sieve, &folder.join(cloud))?;
     }
     Ok(views)
+}
+
+/// The frames of the file at `path`, whose lenses may be distorted.
+pub(crate) fn shots(path: &Path) -> Result<Vec<Shot>, SceneError> {
+    let transforms = parse(path).map_err(|refusal| refusal.of(path))?;
+    let folder = path.parent().unwrap_or(Path::new(""));
+    let shot = |frame| shot_of(folder, &transforms.shared, frame).map_err(|refusal| refusal.of(path));
+    transforms.frames.iter().map(shot).collect()
 }
 
 fn parse(path: &Path) -> Result<Transforms, Refusal> {
@@ -93,28 +102,15 @@ fn parse(path: &Path) -> Result<Transforms, Refusal> {
         .map_err(|error| format!("is not a valid transforms.json: {error}").into())
 }
 
-fn view_of(folder: &Path, shared: &Intrinsics, frame: &Frame) -> Result<View, Refusal> {
-    let path = picture_path(folder, &frame.file_path);
-    let camera = || {
-        let intrinsics = frame.own.over(shared);
-        intrinsics.refuse_distortion()?;
-        intrinsics.camera(pose(&frame.transform_matrix)?, &path)
+fn shot_of(folder: &Path, shared: &Intrinsics, frame: &Frame) -> Result<Shot, Refusal> {
+    let (name, path) = find_picture(folder, frame.file_path.trim_start_matches("./"));
+    let placed = || {
+        let lens = frame.own.over(shared).lens(&path)?;
+        Ok((pose(&frame.transform_matrix)?, lens))
     };
-    let camera =
-        camera().map_err(|refusal| refusal.at(format_args!("frame {}", frame.file_path.escape_debug())))?;
-    let mask = frame.mask_path.as_ref().map(|mask| mask_files::named(folder.join(mask)));
-    Ok(View { name: frame.file_path.clone(), camera, path, mask })
-}
-
-/// The path of a frame's picture. If no such file exists, appends the first of [`EXTENSIONS`] that gives
-/// an existing file, or nothing if none does.
-fn picture_path(folder: &Path, file_path: &str) -> PathBuf {
-    let path = files::in_any_case(folder.join(file_path));
-    if path.is_file() {
-        return path;
-    }
-    let with = |extension: &&str| PathBuf::from(format!("{}.{extension}", path.display()));
-    EXTENSIONS.iter().map(with).find(|path| path.is_file()).unwrap_or(path)
+    let (cam_from_world, lens) = placed()
+        .map_err(|refusal: Refusal| refusal.at(format_args!("frame {}", frame.file_path.escape_debug())))?;
+    Ok(Shot { name, path, cam_from_world, lens })
 }
 
 /// Converts the rows of `world_from_cam`, with OpenGL's camera axes, to a pose.
@@ -128,10 +124,8 @@ fn pose(rows: &[[f64; 4]]) -> Result<Pose, Refusal> {
     // z axes are reversed.
     let column = |i: usize| DVec3::new(x[i], y[i], z[i]);
     let world_from_cam = DMat3::from_cols(column(0), -column(1), -column(2));
-    let residual = world_from_cam.transpose() * world_from_cam - DMat3::IDENTITY;
-    let is_rotation = residual.to_cols_array().iter().all(|v| v.abs() < ROTATION_TOLERANCE);
     let center = column(3);
-    if !(is_rotation && world_from_cam.determinant() > 0.0 && center.is_finite()) {
+    if !(is_rotation(&world_from_cam) && center.is_finite()) {
         return Err("transform_matrix is not a rotation and translation".into());
     }
     let rotation = DQuat::from_mat3(&world_from_cam.transpose()).normalize();
@@ -163,32 +157,30 @@ impl Intrinsics {
         }
     }
 
-    fn refuse_distortion(&self) -> Result<(), Refusal> {
-        const REMEDY: &str = "undistort the pictures first: run `colmap image_undistorter` on the COLMAP model that this file was made from, and open its output";
-        let model = self.camera_model.as_deref().unwrap_or("PINHOLE");
-        // An OPENCV camera without distortion is a pinhole camera. nerfstudio writes its pinhole
-        // cameras as OPENCV.
-        if self.is_fisheye == Some(true) || !matches!(model, "PINHOLE" | "SIMPLE_PINHOLE" | "OPENCV") {
-            let model = if self.is_fisheye == Some(true) { "fisheye" } else { model };
-            return Err(
-                format!("the camera model {} is not supported; {REMEDY}", model.escape_debug()).into()
-            );
-        }
-        let coefficients = [
-            ("k1", self.k1),
-            ("k2", self.k2),
-            ("k3", self.k3),
-            ("k4", self.k4),
-            ("p1", self.p1),
-            ("p2", self.p2),
-        ];
-        match coefficients.iter().find(|(_, value)| value.is_some_and(|value| value != 0.0)) {
-            Some((name, _)) => Err(format!("the lens distortion {name} is not 0; {REMEDY}").into()),
-            None => Ok(()),
+    fn distortion(&self) -> Result<Distortion, Refusal> {
+        let [k1, k2, k3, k4, p1, p2] =
+            [self.k1, self.k2, self.k3, self.k4, self.p1, self.p2].map(|value| value.unwrap_or(0.0));
+        let model = match self.is_fisheye {
+            Some(true) => "OPENCV_FISHEYE",
+            _ => self.camera_model.as_deref().unwrap_or("PINHOLE"),
+        };
+        // nerfstudio writes its pinhole cameras as OPENCV, and some tools coefficients to PINHOLE.
+        match model {
+            "PINHOLE" | "SIMPLE_PINHOLE" | "OPENCV" if k4 == 0.0 => {
+                Ok(Distortion::Brown { radial: [k1, k2, k3], tangential: [p1, p2] })
+            }
+            "OPENCV_FISHEYE" if [p1, p2] == [0.0; 2] => Ok(Distortion::Fisheye([k1, k2, k3, k4])),
+            "PINHOLE" | "SIMPLE_PINHOLE" | "OPENCV" => Err("the lens distortion k4 is not supported".into()),
+            "OPENCV_FISHEYE" => Err("the lens distortions p1 and p2 of a fisheye are not supported".into()),
+            other => Err(format!(
+                "the camera model {} is not supported; export an OPENCV or OPENCV_FISHEYE camera",
+                other.escape_debug()
+            )
+            .into()),
         }
     }
 
-    fn camera(&self, cam_from_world: Pose, picture: &Path) -> Result<Camera, Refusal> {
+    fn lens(&self, picture: &Path) -> Result<Lens, Refusal> {
         let size_px = self.size_px(picture)?;
         let [width, height] = size_px.map(f64::from);
         let from_angle = |angle: f64, side: f64| 0.5 * side / (0.5 * angle).tan();
@@ -196,12 +188,9 @@ impl Intrinsics {
         let by_angle_y = self.camera_angle_y.map(|angle| from_angle(angle, height));
         let fl_x = self.fl_x.or(by_angle_x).ok_or("neither fl_x nor camera_angle_x is given")?;
         let fl_y = self.fl_y.or(by_angle_y).unwrap_or(fl_x);
-        let focal_px = DVec2::new(fl_x, fl_y);
         let center_px = DVec2::new(self.cx.unwrap_or(0.5 * width), self.cy.unwrap_or(0.5 * height));
-        if !(focal_px.min_element() > 0.0 && focal_px.is_finite() && center_px.is_finite()) {
-            return Err(format!("the focal length {focal_px} px or centre {center_px} px is invalid").into());
-        }
-        Ok(Camera { cam_from_world, focal_px, center_px, size_px })
+        let distortion = self.distortion()?;
+        Lens { focal_px: DVec2::new(fl_x, fl_y), center_px, size_px, distortion }.checked()
     }
 
     /// The picture's size from `w` and `h`, or from the picture's own header if one of them is

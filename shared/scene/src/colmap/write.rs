@@ -6,10 +6,13 @@ use std::path::Path;
 
 use glam::DVec2;
 
-use crate::{Camera, Dataset, SceneError, View, atomic};
+use crate::lens::Distortion;
+use crate::{Camera, Dataset, Pose, SceneError, Shot, View, atomic};
 
-/// COLMAP's number for the camera model `PINHOLE`.
+/// COLMAP's numbers for camera models (`src/colmap/sensor/models.h`).
 const PINHOLE: u32 = 1;
+const OPENCV_FISHEYE: u32 = 5;
+const FULL_OPENCV: u32 = 6;
 
 /// Writes cameras, poses and points as a binary model into `root/sparse/0`, which is created. Views
 /// with the same intrinsics share a COLMAP camera. The 2D points of a picture are the projections
@@ -23,6 +26,47 @@ pub fn write(root: &Path, dataset: &Dataset) -> Result<(), SceneError> {
     atomic::write(&model.join("cameras.bin"), |out| cameras.write(out))?;
     atomic::write(&model.join("images.bin"), |out| write_images(out, dataset, &cameras, &tracks))?;
     atomic::write(&model.join("points3D.bin"), |out| write_points(out, dataset, &tracks))
+}
+
+/// Writes shots as a binary model without points into a folder, which is created, for COLMAP's undistorter. Each shot has a
+/// camera of its own.
+pub fn write_shots(model: &Path, shots: &[Shot]) -> Result<(), SceneError> {
+    fs::create_dir_all(model).map_err(|cause| SceneError::io(model, cause))?;
+    atomic::write(&model.join("cameras.bin"), |out| write_lenses(out, shots))?;
+    atomic::write(&model.join("images.bin"), |out| write_unmarked(out, shots))?;
+    atomic::write(&model.join("points3D.bin"), |out| out.write_all(&0_u64.to_le_bytes()))
+}
+
+fn write_lenses(out: &mut Out, shots: &[Shot]) -> io::Result<()> {
+    out.write_all(&(shots.len() as u64).to_le_bytes())?;
+    for (id, Shot { lens, .. }) in (1_u32..).zip(shots) {
+        let pinhole = [lens.focal_px.to_array(), lens.center_px.to_array()].concat();
+        let (model, coefficients) = match lens.distortion {
+            Distortion::Fisheye(k) => (OPENCV_FISHEYE, k.to_vec()),
+            Distortion::Brown { radial: [k1, k2, k3], tangential: [p1, p2] } => {
+                (FULL_OPENCV, vec![k1, k2, p1, p2, k3, 0.0, 0.0, 0.0])
+            }
+        };
+        put_u32s(out, &[id, model])?;
+        for side in lens.size_px {
+            out.write_all(&u64::from(side).to_le_bytes())?;
+        }
+        put_f64s(out, &[pinhole, coefficients].concat())?;
+    }
+    Ok(())
+}
+
+fn write_unmarked(out: &mut Out, shots: &[Shot]) -> io::Result<()> {
+    out.write_all(&(shots.len() as u64).to_le_bytes())?;
+    for (id, shot) in (1_u32..).zip(shots) {
+        put_u32s(out, &[id])?;
+        put_pose(out, &shot.cam_from_world)?;
+        put_u32s(out, &[id])?;
+        out.write_all(shot.name.as_bytes())?;
+        out.write_all(&[0])?;
+        out.write_all(&0_u64.to_le_bytes())?;
+    }
+    Ok(())
 }
 
 /// The distinct intrinsics of the views. Each is written once, as a COLMAP camera.
@@ -93,10 +137,8 @@ type Out = BufWriter<File>;
 fn write_images(out: &mut Out, dataset: &Dataset, cameras: &Cameras, tracks: &Tracks) -> io::Result<()> {
     out.write_all(&(dataset.views.len() as u64).to_le_bytes())?;
     for (i, View { name, camera, .. }) in dataset.views.iter().enumerate() {
-        let pose = &camera.cam_from_world;
         put_u32s(out, &[i as u32 + 1])?;
-        put_f64s(out, &[pose.rotation.w, pose.rotation.x, pose.rotation.y, pose.rotation.z])?;
-        put_f64s(out, &pose.translation.to_array())?;
+        put_pose(out, &camera.cam_from_world)?;
         put_u32s(out, &[cameras.of_view[i] + 1])?;
         out.write_all(name.as_bytes())?;
         out.write_all(&[0])?;
@@ -123,6 +165,11 @@ fn write_points(out: &mut Out, dataset: &Dataset, tracks: &Tracks) -> io::Result
         }
     }
     Ok(())
+}
+
+fn put_pose(out: &mut Out, pose: &Pose) -> io::Result<()> {
+    put_f64s(out, &[pose.rotation.w, pose.rotation.x, pose.rotation.y, pose.rotation.z])?;
+    put_f64s(out, &pose.translation.to_array())
 }
 
 fn put_u32s(out: &mut Out, values: &[u32]) -> io::Result<()> {

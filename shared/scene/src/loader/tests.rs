@@ -395,8 +395,8 @@ fn other_things_than_datasets_are_told_what_comes_next() {
         ("flight.MP4", "ffmpeg"),
         ("data.zip", "unpack"),
         ("photo.jpg", "give the folder"),
-        ("cameras.xml", "export them as COLMAP"),
-        ("poses.csv", "export them as COLMAP"),
+        ("cameras.xml", "Metashape's XML"),
+        ("poses.csv", "RealityCapture's CSV"),
     ] {
         let path = at(name);
         assert!(complaint(&path).contains(word), "{name}: {}", complaint(&path));
@@ -404,8 +404,6 @@ fn other_things_than_datasets_are_told_what_comes_next() {
     }
     at("flight.mp4");
     assert!(complaint(root.path()).contains("flight.mp4 is a video"));
-    at("cameras.xml");
-    assert!(complaint(root.path()).contains("Metashape"));
     fs::create_dir(root.path().join("opensfm")).unwrap();
     assert!(complaint(root.path()).contains("opensfm undistort"));
 }

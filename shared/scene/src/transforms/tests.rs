@@ -129,13 +129,12 @@ fn unusable_values_are_refused_with_a_reason() {
     let mirrored = json!([[-1, 0, 0, 1], [0, 0, -1, 2], [0, 1, 0, 3], [0, 0, 0, 1]]);
     let projective = json!([[1, 0, 0, 1], [0, 0, -1, 2], [0, 1, 0, 3], [0, 0, 1, 1]]);
     for (transforms, said) in [
-        (
-            with("k1", json!(-0.02)),
-            "k1 is not 0; undistort the pictures first: run `colmap image_undistorter`",
-        ),
-        (with("p2", json!(1e-9)), "p2 is not 0"),
-        (with("camera_model", json!("OPENCV_FISHEYE")), "OPENCV_FISHEYE is not supported"),
-        (with("is_fisheye", json!(true)), "fisheye is not supported"),
+        (with("k1", json!(-0.02)), "is distorted; undistort the pictures with `cosurf-agent ingest"),
+        (with("p2", json!(1e-9)), "is distorted"),
+        (with("camera_model", json!("OPENCV_FISHEYE")), "is distorted"),
+        (with("is_fisheye", json!(true)), "is distorted"),
+        (with("camera_model", json!("EQUIRECTANGULAR")), "EQUIRECTANGULAR is not supported"),
+        (with("k4", json!(0.1)), "k4 is not supported"),
         (with("fl_x", json!(-3.0)), "frame images/b.png: the focal length"),
         (with("fl_x", json!(null)), "neither fl_x nor camera_angle_x"),
         (with("w", json!(0)), "the picture size 0 × 6 pixels"),

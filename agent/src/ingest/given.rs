@@ -1,0 +1,138 @@
+//! Photographs whose poses another tool has found: COLMAP only undistorts them.
+//!
+//! What it knows nothing about: the formats of the other tools ([`cosurf_scene::Distorted`]).
+
+use std::fs;
+use std::path::{Path, PathBuf};
+
+use cosurf_contract::{AgentEvent, IngestReport, IngestStage};
+use cosurf_geo::{Geodetic, Georeference, SiteFrame};
+use cosurf_scene::{Dataset, Distorted, Pose, SceneError, Shot, colmap};
+use glam::{DAffine3, DQuat};
+
+use super::IngestError;
+use super::colmap::Colmap;
+use super::placing::round_median;
+use super::stages::{Stage, Stages};
+
+/// The stage that undistorts, and where the dataset lies if the poses tell that.
+pub(super) struct Given {
+    images: PathBuf,
+    model: PathBuf,
+    count: usize,
+    key: blake3::Hash,
+    pub(super) georeference: Option<Georeference>,
+}
+
+impl Given {
+    /// Reads the poses in a folder, and writes them to `work` as COLMAP wants them. Of an earth-centred world, they are moved
+    /// to the site about `origin`, or else about their median.
+    pub(super) fn read(folder: &Path, work: &Path, origin: Option<Geodetic>) -> Result<Self, IngestError> {
+        let absolute = |path: &Path| fs::canonicalize(path).map_err(|cause| SceneError::io(path, cause));
+        let beside = Georeference::of_folder(folder)?;
+        match Distorted::open(folder)? {
+            Distorted::Colmap { model, images } => {
+                let (model, images) = (absolute(&model)?, absolute(&images)?);
+                Ok(Self { images, model, count: 0, key: blake3::hash(b"colmap"), georeference: beside })
+            }
+            Distorted::Shots { images, mut shots, is_geocentric } => {
+                let georeference = match is_geocentric {
+                    true => Some(move_to_site(&mut shots, origin)?),
+                    false => beside,
+                };
+                let model = absolute(work)?.join("given");
+                colmap::write_shots(&model, &shots)?;
+                let (count, key) = (shots.len(), key_of(&shots)?);
+                Ok(Self { images: absolute(&images)?, model, count, key, georeference })
+            }
+        }
+    }
+
+    /// Undistorts and shrinks the pictures, and returns the dataset of them.
+    pub(super) fn undistort(
+        &self,
+        colmap: &Colmap,
+        work: &Path,
+        max_size_px: u32,
+        tell: &mut dyn FnMut(AgentEvent),
+    ) -> Result<Dataset, IngestError> {
+        let folder = work.join("undistorted");
+        let options = [
+            (&["image_path"][..], (&self.images).into()),
+            (&["input_path"], (&self.model).into()),
+            (&["output_path"], (&folder).into()),
+            (&["output_type"], "COLMAP".into()),
+            (&["max_image_size"], max_size_px.to_string().into()),
+        ];
+        let commands = vec![(colmap.command("image_undistorter", &options)?, self.count)];
+        let files =
+            ["cameras.bin", "images.bin", "cameras.txt", "images.txt"].map(|name| self.model.join(name));
+        let inputs = files.into_iter().filter(|file| file.is_file()).collect();
+        let folders = vec![folder.clone()];
+        let stage =
+            Stage { kind: IngestStage::Undistorting, commands, inputs, removed: folders.clone(), folders };
+        Stages::new(colmap, work, self.key, tell).run(&stage)?;
+        Ok(Dataset::open_within(&folder, usize::MAX)?.0)
+    }
+
+    /// What was made of it.
+    pub(super) fn report(&self, dataset: &Dataset) -> IngestReport {
+        let (posed, points) = (dataset.views.len(), dataset.points.len());
+        let photographs = self.count.max(posed);
+        IngestReport { photographs, posed, points, georeferenced: self.georeference.is_some() }
+    }
+}
+
+/// Hash of the pictures by their names, sizes and times of change.
+fn key_of(shots: &[Shot]) -> Result<blake3::Hash, IngestError> {
+    let mut hasher = blake3::Hasher::new();
+    for Shot { name, path, .. } in shots {
+        let metadata = fs::metadata(path).map_err(|cause| SceneError::io(path, cause))?;
+        hasher.update(format!("{name:?} {} {:?}\n", metadata.len(), metadata.modified().ok()).as_bytes());
+    }
+    Ok(hasher.finalize())
+}
+
+/// Moves shots from the earth-centred frame to the frame of a site.
+fn move_to_site(shots: &mut [Shot], origin: Option<Geodetic>) -> Result<Georeference, IngestError> {
+    let places: Vec<Geodetic> =
+        shots.iter().map(|shot| Geodetic::from_ecef(shot.cam_from_world.center())).collect();
+    let site = SiteFrame::new(origin.unwrap_or_else(|| round_median(&places)))?;
+    let ecef_from_enu: DAffine3 = site.ecef_from_enu();
+    let turn = DQuat::from_mat3(&ecef_from_enu.matrix3);
+    for (shot, place) in shots.iter_mut().zip(&places) {
+        let rotation = (shot.cam_from_world.rotation * turn).normalize();
+        shot.cam_from_world = Pose { rotation, translation: -(rotation * site.enu_from_geodetic(place)) };
+    }
+    Ok(Georeference::at(site.origin())?)
+}
+
+#[cfg(test)]
+mod tests {
+    #![allow(clippy::unwrap_used)]
+    use cosurf_scene::{Distortion, Lens};
+    use glam::{DVec2, DVec3};
+
+    use super::*;
+
+    #[test]
+    fn cameras_of_the_whole_earth_look_the_same_way_at_the_site() {
+        let origin = Geodetic { latitude_deg: 53.3, longitude_deg: 16.4, height_m: 70.0 };
+        let site = SiteFrame::new(origin).unwrap();
+        let (eye, target) = (DVec3::new(30.0, -40.0, 60.0), DVec3::new(0.0, 10.0, 0.0));
+        let ecef = |enu: DVec3| site.ecef_from_enu().transform_point3(enu);
+        let up = ecef(DVec3::Z) - ecef(DVec3::ZERO);
+        let lens = Lens {
+            focal_px: DVec2::splat(9.0),
+            center_px: DVec2::splat(4.0),
+            size_px: [8; 2],
+            distortion: Distortion::Fisheye([0.0; 4]),
+        };
+        let cam_from_world = Pose::look_at(ecef(eye), ecef(target), up);
+        let mut shots = [Shot { name: "a".into(), path: "a".into(), cam_from_world, lens }];
+        assert_eq!(move_to_site(&mut shots, Some(origin)).unwrap().origin, origin);
+        let (is, wanted) = (shots[0].cam_from_world, Pose::look_at(eye, target, DVec3::Z));
+        assert!(is.center().distance(eye) < 1e-6, "{}", is.center());
+        assert!(is.rotation.dot(wanted.rotation).abs() > 1.0 - 1e-9, "{is:?} {wanted:?}");
+    }
+}
