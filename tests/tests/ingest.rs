@@ -63,6 +63,33 @@ fn photographs_get_the_poses_they_were_taken_from() {
 }
 
 #[test]
+fn photographs_that_are_all_the_same_have_no_poses() {
+    if !has_colmap() {
+        return;
+    }
+    let folder = tempfile::tempdir().unwrap();
+    let (photographs, data) = (folder.path().join("photographs"), folder.path().join("data"));
+    City::build(&CITY).unwrap().write_raw(&RawSettings::default(), &photographs, |_, _| ()).unwrap();
+    let same = folder.path().join("same");
+    fs::create_dir(&same).unwrap();
+    let first = fs::read_dir(&photographs)
+        .unwrap()
+        .map(|entry| entry.unwrap().path())
+        .find(|path| path.extension().is_some_and(|end| end == "JPG"))
+        .unwrap();
+    (0..4).for_each(|i| drop(fs::copy(&first, same.join(format!("{i}.jpg"))).unwrap()));
+    let run = Command::new(program("cosurf-agent"))
+        .args(["ingest", "--out"])
+        .args([&data, &same])
+        .output()
+        .unwrap();
+    let told = String::from_utf8_lossy(&run.stderr).into_owned();
+    let last = told.lines().last().unwrap();
+    assert!(!run.status.success() && last.contains("of 4 photographs, fewer than 3"), "{told}");
+    assert!(!data.join("sparse").exists(), "nothing half done");
+}
+
+#[test]
 fn one_command_makes_deliverables_of_photographs() {
     if !has_colmap() {
         return;

@@ -33,7 +33,7 @@ impl Colmap {
     }
 
     /// The command with those of these options that its version has. Options are tried with each name in turn: versions
-    /// renamed them.
+    /// renamed them. A version without an option for a path, which is no choice, is refused.
     pub(super) fn command(
         &self,
         name: &str,
@@ -45,6 +45,9 @@ impl Colmap {
         for (names, value) in options {
             if let Some(known) = names.iter().find(has) {
                 command.extend([OsString::from(format!("--{known}")), value.clone()]);
+            } else if names[0].ends_with("_path") {
+                let (program, command, option) = (self.program.clone(), name.into(), names[0].into());
+                return Err(IngestError::UnknownColmap { program, command, option });
             }
         }
         Ok(command)

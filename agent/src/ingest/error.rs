@@ -46,6 +46,19 @@ pub enum IngestError {
         /// The program.
         program: PathBuf,
     },
+    /// A version of COLMAP has other options.
+    #[error(
+        "{}: COLMAP's {command} has no option --{option}, so this version is too old or too new; name another program, of version 3.6 to 4.2, with --colmap",
+        program.display()
+    )]
+    UnknownColmap {
+        /// The program.
+        program: PathBuf,
+        /// The command of COLMAP.
+        command: String,
+        /// The option that is missing.
+        option: String,
+    },
     /// COLMAP failed.
     #[error("COLMAP's {command} failed: {reason}; {} has its output", log.display())]
     Failed {

@@ -172,6 +172,8 @@ pub(super) fn reason(error: &SceneError) -> String {
 #[cfg(test)]
 mod tests {
     #![allow(clippy::unwrap_used)]
+    use std::io::{Seek, SeekFrom, Write};
+
     use super::*;
 
     fn photograph(path: &Path, size_px: [u32; 2]) {
@@ -208,6 +210,41 @@ mod tests {
         assert_eq!(left_out, ["empty.jpg", "short.JPG", "two\nlines.jpg"]);
         assert!(found.left_out[2].1.contains("rename it"), "{:?}", found.left_out);
         assert!(found.left_out[1].1.contains("cut short"), "{:?}", found.left_out);
+    }
+
+    /// A file in which 1 GiB of zeros, which take no space on the disk, follow the first `begin` bytes of a picture.
+    fn with_gap(path: &Path, picture: &[u8], begin: usize, header: &[u8]) {
+        const GAP_BYTES: u64 = 1 << 30;
+        let mut file = fs::File::create(path).unwrap();
+        file.write_all(&picture[..begin]).unwrap();
+        file.write_all(header).unwrap();
+        file.seek(SeekFrom::Current(GAP_BYTES as i64)).unwrap();
+        file.write_all(&picture[begin..]).unwrap();
+        assert!(file.metadata().unwrap().len() > GAP_BYTES);
+    }
+
+    #[test]
+    fn a_gigabyte_of_exif_takes_neither_time_nor_memory() {
+        let folder = tempfile::tempdir().unwrap();
+        let at = |name: &str| folder.path().join(name);
+        photograph(&at("a.jpg"), [32, 24]);
+        photograph(&at("b.jpg"), [32, 24]);
+        photograph(&at("c.jpg"), [32, 24]);
+        let jpeg = fs::read(at("a.jpg")).unwrap();
+        // EXIF that claims 64 KiB, the most of a segment, and is far longer.
+        with_gap(&at("long.jpg"), &jpeg, 2, b"\xff\xe1\xff\xffExif\0\0II*\0\x08\0\0\0");
+        Picture::new([32, 24], vec![9; 32 * 24 * 3]).write_png(&at("small.png")).unwrap();
+        let png = fs::read(at("small.png")).unwrap();
+        fs::remove_file(at("small.png")).unwrap();
+        // A chunk that does have 1 GiB, behind the header of 33 bytes.
+        let chunk = [&(1_u32 << 30).to_be_bytes()[..], b"eXIf"].concat();
+        with_gap(&at("long.png"), &[&png[..33], &[0; 4], &png[33..]].concat(), 33, &chunk);
+        let begun = std::time::Instant::now();
+        let found = Photographs::read(folder.path()).unwrap();
+        let names: Vec<&str> = found.usable.iter().map(|photograph| &*photograph.name).collect();
+        assert_eq!(names, ["a.jpg", "b.jpg", "c.jpg"], "{:?}", found.left_out);
+        assert_eq!(found.left_out.len(), 2, "{:?}", found.left_out);
+        assert!(begun.elapsed().as_secs() < 20, "{:?}", begun.elapsed());
     }
 
     #[test]
