@@ -24,6 +24,7 @@ mod recipe;
 mod reconstruction;
 mod settling;
 mod stages;
+mod vertical;
 
 use std::fs;
 use std::path::{Path, PathBuf};
@@ -59,6 +60,8 @@ pub struct IngestPlan {
     pub colmap: PathBuf,
     /// Origin of the site; `None` takes the middle of the photographs.
     pub origin: Option<Geodetic>,
+    /// Grid of the geoid that heights of `gcp_list.txt` and `geo.txt` are above; `None` if they are above the ellipsoid.
+    pub geoid: Option<PathBuf>,
     /// Largest side of the dataset's pictures, pixels.
     pub max_size_px: u32,
 }
@@ -88,7 +91,11 @@ pub fn ingest(plan: &IngestPlan, tell: &mut dyn FnMut(AgentEvent)) -> Result<Ing
     if Dataset::has_poses(&plan.photographs) {
         return ingest_given(plan, &colmap, &work, tell);
     }
-    let photographs = masks::prepare(Photographs::read(&plan.photographs)?, &work)?;
+    let mut photographs = Photographs::read(&plan.photographs)?;
+    if let Some(grid) = &plan.geoid {
+        vertical::raise(&mut photographs, grid)?;
+    }
+    let photographs = masks::prepare(photographs, &work)?;
     let count = photographs.usable.len();
     let all = count + photographs.left_out.len();
     tell(AgentEvent::Ingesting {

@@ -55,7 +55,7 @@ pub fn write_georeference(georeference: Option<&Georeference>, folder: &Path) ->
 #[cfg(test)]
 mod tests {
     #![allow(clippy::unwrap_used)]
-    use cosurf_geo::{Geodetic, GpsResiduals, PointResidual};
+    use cosurf_geo::{Geodetic, GpsResiduals, PointResidual, Residuals};
 
     use super::*;
 
@@ -86,9 +86,12 @@ mod tests {
         };
         let point = PointResidual { name: "A".into(), photographs: 3, residual_m: [0.01, -0.02, 0.05] };
         let bare = Georeference::at(origin).unwrap();
-        let with_gps = |rms_m| Georeference { gps: Some(gps(rms_m)), ..bare.clone() };
-        let east = Georeference { check: vec![point.clone()], ..with_gps(2.0) };
-        let places = [("east", east), ("west", with_gps(3.0)), ("plan", bare.clone())];
+        let with = |rms_m, check: Vec<PointResidual>| Georeference {
+            residuals: Residuals { gps: Some(gps(rms_m)), check, ..Residuals::default() },
+            ..bare.clone()
+        };
+        let east = with(2.0, vec![point.clone()]);
+        let places = [("east", east), ("west", with(3.0, Vec::new())), ("plan", bare.clone())];
         let folders = places.map(|(name, place)| {
             let path = folder.path().join(name);
             std::fs::create_dir(&path).unwrap();
@@ -96,11 +99,12 @@ mod tests {
             path
         });
         let merged = common_georeference(&folders).unwrap().unwrap();
-        assert!(merged.gps.is_none() && merged.check.is_empty(), "{merged:?}");
+        assert!(merged.residuals == Residuals::default(), "{merged:?}");
         let [east, west] = &merged.drones[..] else { panic!("{merged:?}") };
         let name = |path: &Path| path.display().to_string();
-        assert_eq!((&east.name, east.gps, &east.check), (&name(&folders[0]), Some(gps(2.0)), &vec![point]));
-        assert_eq!((&west.name, west.gps), (&name(&folders[1]), Some(gps(3.0))));
+        assert_eq!((&east.name, &west.name), (&name(&folders[0]), &name(&folders[1])));
+        assert_eq!((east.residuals.gps, &east.residuals.check), (Some(gps(2.0)), &vec![point]));
+        assert_eq!(west.residuals.gps, Some(gps(3.0)));
         // A merge of merges keeps all of them.
         let site = folder.path().join("site");
         std::fs::create_dir(&site).unwrap();

@@ -178,6 +178,7 @@ fn survey(
         out: order.out.join(SURVEY),
         georeference,
         mesh,
+        geoid: order.geoid.clone(),
         gsd_m: None,
         contours_m: CONTOURS_M,
         volumes: None,

@@ -7,7 +7,7 @@
 //! without names, from which the deliverables are then written. So the memory is that of the fusion: all that follows needs less, because it has the mesh or the splats but never
 //! both, and one tile at a time.
 //!
-//! What it knows nothing about: how the model was made, geoids, command lines. The world of the model must be ENU metres
+//! What it knows nothing about: how the model was made, command lines. The world of the model must be ENU metres
 //! about the origin of a site ([`cosurf_geo`]).
 //!
 //! Where to start reading: [`survey`], the list of steps. The modules, each below those that use it:
@@ -91,6 +91,8 @@ pub struct SurveyOrder {
     pub georeference: Georeference,
     /// The mesh of the model, if there is one; otherwise it is fused.
     pub mesh: Option<FusedMesh>,
+    /// Grid of the geoid that heights are above, as [`cosurf_geo::Geoid`] reads it; `None` for heights above the ellipsoid.
+    pub geoid: Option<PathBuf>,
     /// Side of a pixel in the coordinate system, metres, above 0; `None` for the median length that a pixel of the
     /// cameras covers on the surface, rounded to two digits.
     pub gsd_m: Option<f64>,
@@ -122,11 +124,11 @@ pub enum SurveyEvent {
     },
 }
 
-/// Makes all files: the maps `dsm.tif`, `dtm.tif`, `ortho.tif` and `confidence.tif`, `points.laz`, `mesh.glb`,
+/// Makes all files: the maps `dsm.tif`, `dtm.tif`, `ortho.tif` and `confidence.tif`, `points.laz`, `mesh.glb`, `mesh.obj`,
 /// `tileset.json` with its tiles, `contours.geojson`, `volumes.json` if polygons are given, and last `accuracy.json`, so
 /// that its presence tells that the others are complete.
 pub fn survey(order: &SurveyOrder, mut on_event: impl FnMut(SurveyEvent)) -> Result<Accuracy, SurveyError> {
-    let place = Place::new(&order.georeference)?;
+    let place = Place::new(&order.georeference, order.geoid.as_deref())?;
     // Read before the mesh is made, so that a wrong file is reported at once.
     let polygons = order.volumes.as_deref().map(|file| read_polygons(file, &place)).transpose()?;
     let scene = Scene::open(&order.folder)?;

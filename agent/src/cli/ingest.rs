@@ -31,6 +31,10 @@ pub(super) struct IngestArgs {
     /// [default: the median of the photographs, rounded to 0.0001 degrees and whole metres]
     #[arg(long, value_name = "LAT,LON,HEIGHT", allow_hyphen_values = true)]
     origin: Option<Geodetic>,
+    /// Grid of the geoid that the heights in gcp_list.txt and geo.txt are above: a GeoTIFF of PROJ (us_nga_egm96_15.tif) or a
+    /// .gtx file [default: they are above the ellipsoid of WGS 84]
+    #[arg(long, value_name = "FILE")]
+    geoid: Option<PathBuf>,
     /// Shrink pictures until their long side is at most this many pixels
     #[arg(long, value_name = "PX", default_value_t = 1920, value_parser = clap::value_parser!(u32).range(16..))]
     max_size: u32,
@@ -48,6 +52,7 @@ pub(super) fn run(args: &IngestArgs) -> Result<()> {
         out: args.out.clone(),
         colmap: args.colmap.clone(),
         origin: args.origin,
+        geoid: args.geoid.clone(),
         max_size_px: args.max_size,
     };
     let mut progress = Progress::new(args.json);
@@ -77,14 +82,14 @@ fn print(ingested: &Ingested, args: &IngestArgs) -> Result<()> {
 fn print_place(out: &mut impl Write, its: &Georeference) -> io::Result<()> {
     let Geodetic { latitude_deg, longitude_deg, height_m } = its.origin;
     writeln!(out, "origin {latitude_deg},{longitude_deg},{height_m}, maps in EPSG:{}", its.epsg)?;
-    if let Some(gps) = &its.gps {
+    if let Some(gps) = &its.residuals.gps {
         writeln!(
             out,
             "GPS of {} of {} agrees with the poses, to {:.2} m horizontally and {:.2} m vertically",
             gps.agreeing, gps.photographs, gps.horizontal_rms_m, gps.vertical_rms_m
         )?;
     }
-    if let Some(known) = &its.uncertainty {
+    if let Some(known) = &its.residuals.uncertainty {
         writeln!(
             out,
             "known to {:.1}° of tilt, {:.1}° of heading, {:.1} % of length, {:.2} m horizontally, {:.2} m vertically",
@@ -95,7 +100,7 @@ fn print_place(out: &mut impl Write, its: &Georeference) -> io::Result<()> {
             known.vertical_m
         )?;
     }
-    for (noun, points) in [("control point", &its.control), ("check point", &its.check)] {
+    for (noun, points) in [("control point", &its.residuals.control), ("check point", &its.residuals.check)] {
         if !points.is_empty() {
             let [east, north, up] = PointResidual::rms_m(points);
             let count = counted(points.len() as u64, noun);

@@ -3,8 +3,8 @@
 use std::collections::HashMap;
 
 use cosurf_geo::{
-    ControlPoint, GeoError, Geodetic, Georeference, Gps, PointResidual, Sighting, Similarity, SiteFrame, Up,
-    fit,
+    ControlPoint, GeoError, Geodetic, Georeference, Gps, PointResidual, Residuals, Sighting, Similarity,
+    SiteFrame, Up, fit,
 };
 use cosurf_scene::Pose;
 use glam::{DQuat, DVec3};
@@ -68,13 +68,13 @@ impl Places {
         let similarity = fit.similarity;
         let residual = |point: &SeenPoint| residual(point, &similarity);
         let agreeing = seen.control.iter().zip(&fit.control).filter(|(_, its)| its.agrees);
-        let georeference = Georeference {
+        let residuals = Residuals {
             gps: fit.residuals,
             uncertainty: Some(fit.uncertainty),
             control: agreeing.map(|(point, _)| residual(point)).collect(),
             check: seen.check.iter().map(residual).collect(),
-            ..Georeference::at(self.site.origin())?
         };
+        let georeference = Georeference { residuals, ..Georeference::at(self.site.origin())? };
         let mut left_out = seen.left_out;
         let wrong = seen.control.iter().zip(&fit.control).filter(|(_, its)| !its.agrees);
         left_out.extend(wrong.map(|(point, _)| wrong_control(&residual(point))));

@@ -124,6 +124,7 @@ impl Flight {
             out: self.at("data"),
             colmap: self.at("colmap"),
             origin: Some(ORIGIN),
+            geoid: None,
             max_size_px: 1920,
         }
     }

@@ -93,6 +93,10 @@ pub(crate) struct MissionArgs {
     /// Also score the global model by LPIPS, with the weights vgg.safetensors and alex.safetensors in this folder
     #[arg(long, value_name = "FOLDER")]
     lpips: Option<PathBuf>,
+    /// Grid of a geoid, a GeoTIFF of PROJ or a .gtx file: heights of the survey are then above it, and those in gcp_list.txt
+    /// and geo.txt are taken to be
+    #[arg(long, value_name = "FILE")]
+    geoid: Option<PathBuf>,
     #[command(flatten)]
     http: HttpArgs,
     /// Print every event, and at the end the report, as lines of JSON
@@ -103,6 +107,7 @@ pub(crate) struct MissionArgs {
 pub(crate) fn run(args: MissionArgs) -> Result<()> {
     let out = absolute(&args.out).context("--out")?;
     let _lock = FolderLock::take(&out, "cosurf-aggregator mission")?;
+    let geoid = args.geoid.as_ref().map(absolute).transpose().context("--geoid")?;
     let data = args.data.as_ref().map(absolute).transpose().context("--data")?;
     let merge_memory = merge_memory(args.merge_memory, args.http.is_served())?;
     let site = args.http.serve(&out, None)?;
@@ -111,7 +116,7 @@ pub(crate) fn run(args: MissionArgs) -> Result<()> {
     let (data, ingest_s) = match data {
         Some(photographs) if Dataset::is_without_poses(&photographs) => {
             let begun = (around.now)();
-            let data = ingest(&around.agent, &photographs, &out.join("data"), args.json)?;
+            let data = ingest(&around.agent, &photographs, &out.join("data"), geoid.as_deref(), args.json)?;
             (Some(data), Some(((around.now)() - begun).as_secs_f64()))
         }
         data => (data, None),
@@ -138,6 +143,7 @@ pub(crate) fn run(args: MissionArgs) -> Result<()> {
         city: data.is_none().then(|| city_of_seed(args.seed)),
         out,
         broker: args.broker,
+        geoid,
         lpips: args.lpips,
     };
     let Flown { report, accuracy } = fly(&order, &around)?;
@@ -174,7 +180,13 @@ fn merge_memory(bytes: u64, has_page: bool) -> Result<u64> {
 }
 
 /// Makes a dataset of photographs, and returns its folder. One that is there already is used.
-fn ingest(agent: &Path, photographs: &Path, data: &Path, json: bool) -> Result<PathBuf> {
+fn ingest(
+    agent: &Path,
+    photographs: &Path,
+    data: &Path,
+    geoid: Option<&Path>,
+    json: bool,
+) -> Result<PathBuf> {
     if data.is_dir() && Dataset::open(data).is_ok() {
         return Ok(data.to_owned());
     }
@@ -183,6 +195,7 @@ fn ingest(agent: &Path, photographs: &Path, data: &Path, json: bool) -> Result<P
     }
     let mut command = std::process::Command::new(agent);
     command.arg("ingest").arg(photographs).arg("--out").arg(data).args(json.then_some("--json"));
+    command.args(geoid.into_iter().flat_map(|grid| [Path::new("--geoid"), grid]));
     let status = command.status().with_context(|| agent.display().to_string())?;
     ensure!(status.success(), "no dataset could be made of {}; see above", photographs.display());
     Ok(data.to_owned())

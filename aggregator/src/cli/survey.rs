@@ -19,9 +19,9 @@ use super::host::{cores, display};
 ///
 /// Writes to the folder OUT: dsm.tif (heights of the highest surface: ground, roofs and trees), dtm.tif (heights of the bare
 /// ground), ortho.tif (a true orthophoto) and confidence.tif (views of each pixel, how far apart they are, and how wrong its
-/// height may be), all Cloud-Optimised GeoTIFF; points.laz, a Cloud-Optimised Point Cloud; mesh.glb; tileset.json and the
+/// height may be), all Cloud-Optimised GeoTIFF; points.laz, a Cloud-Optimised Point Cloud; mesh.glb and mesh.obj; tileset.json and the
 /// folder tiles, the mesh as 3D Tiles; contours.geojson, of the bare ground; volumes.json with --volumes; and accuracy.json,
-/// last. Heights are metres above the ellipsoid of WGS 84.
+/// last. Heights are metres above the ellipsoid of WGS 84, or above a geoid with --geoid.
 ///
 /// The world of the model must be metres east, north and up of an origin. geo.json in DIR tells where that is, or
 /// --origin does.
@@ -40,6 +40,10 @@ pub(crate) struct SurveyArgs {
     /// the UTM zone of the origin]
     #[arg(long, value_name = "N")]
     epsg: Option<u32>,
+    /// Grid of a geoid: heights of maps, points, contours and mesh.obj are then above it. A GeoTIFF of PROJ
+    /// (us_nga_egm96_15.tif) or a .gtx file
+    #[arg(long, value_name = "FILE")]
+    geoid: Option<PathBuf>,
     /// Side of a pixel of the maps, metres [default: median length that a pixel of the cameras covers on the surface]
     #[arg(long, value_name = "M", value_parser = parse_length)]
     gsd: Option<f64>,
@@ -64,6 +68,7 @@ pub(crate) fn run(args: &SurveyArgs) -> Result<()> {
         out: args.out.clone(),
         georeference: georeference(args)?,
         mesh: None,
+        geoid: args.geoid.clone(),
         gsd_m: args.gsd,
         contours_m: args.contours,
         volumes: args.volumes.clone(),

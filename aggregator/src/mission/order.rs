@@ -25,6 +25,8 @@ pub struct MissionOrder {
     pub out: PathBuf,
     /// The broker to use; `None` for an embedded one on a free port of this machine.
     pub broker: Option<BrokerAddress>,
+    /// Grid of the geoid that the heights of the survey are above; `None` for heights above the ellipsoid.
+    pub geoid: Option<PathBuf>,
     /// Folder of LPIPS weights; `None` to leave LPIPS out.
     pub lpips: Option<PathBuf>,
 }

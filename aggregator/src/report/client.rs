@@ -7,7 +7,8 @@ use std::fmt::Write;
 use std::path::{Path, PathBuf};
 use std::time::UNIX_EPOCH;
 
-use cosurf_geo::{DroneResiduals, Geodetic, Georeference, PointResidual};
+use cosurf_geo::{DroneResiduals, Geodetic, Georeference, PointResidual, Residuals};
+use serde::Deserialize;
 use time::OffsetDateTime;
 
 use super::embed::{Captioned, base64};
@@ -16,7 +17,7 @@ use super::svg::escape;
 use crate::viewer::{self, Walkable};
 
 /// The files that may lie beside a report, with what a client can do with them.
-const FILES: [(&str, &str); 13] = [
+const FILES: [(&str, &str); 14] = [
     ("survey/ortho.tif", "the site from straight above, as a map"),
     ("survey/dsm.tif", "heights of the highest surface, as a map"),
     ("survey/dtm.tif", "heights of the bare ground, as a map"),
@@ -24,6 +25,10 @@ const FILES: [(&str, &str); 13] = [
     ("survey/contours.geojson", "lines of equal height"),
     ("survey/points.laz", "the surface as a cloud of points"),
     ("survey/mesh.glb", "the surface as triangles, for viewers"),
+    (
+        "survey/mesh.obj",
+        "the surface as triangles with the coordinates of the maps, for CAD and mesh programs",
+    ),
     ("survey/accuracy.json", "what the maps are, and how exact, for programs"),
     ("mesh.ply", "the surface as triangles, for CAD and mesh programs"),
     ("global.ply", "the model as splats, for splat viewers"),
@@ -152,11 +157,12 @@ fn accuracy(georeference: Option<&Georeference>) -> String {
 }
 
 /// Adds the rows of a drone; those of a model that was not merged from several have no drone's name.
-fn push_rows(html: &mut String, DroneResiduals { name, gps, control, check, .. }: &DroneResiduals) {
+fn push_rows(html: &mut String, DroneResiduals { name, residuals }: &DroneResiduals) {
     let whose = match name.trim_start_matches('/') {
         "" => String::new(),
         name => format!(" of {}", escape(name)),
     };
+    let Residuals { gps, control, check, .. } = residuals;
     if let Some(gps) = gps {
         let name = format!("GPS{whose}");
         let _ = writeln!(html, "{}", row(&name, gps.agreeing, gps.horizontal_rms_m, gps.vertical_rms_m));
@@ -182,7 +188,21 @@ fn files(client: &Client) -> String {
     for (name, what) in FILES.into_iter().filter(|(name, _)| is_there(name) && is_whole(name)) {
         let _ = write!(html, "<li><a href=\"{name}\">{name}</a> {what}</li>");
     }
-    html + "</ul>\n"
+    html += "</ul>\n";
+    if let Some(heights) = heights(&client.folder) {
+        let _ = writeln!(html, "<p class=\"soft\">Heights of maps and points are {}.</p>", escape(&heights));
+    }
+    html
+}
+
+/// What the heights of the survey are, as it tells itself.
+fn heights(folder: &Path) -> Option<String> {
+    #[derive(Deserialize)]
+    struct Told {
+        heights: String,
+    }
+    let bytes = cosurf_scene::files::read(&folder.join("survey/accuracy.json")).ok()?;
+    serde_json::from_slice(&bytes).ok().map(|told: Told| told.heights)
 }
 
 #[cfg(test)]
@@ -208,7 +228,8 @@ pub(crate) mod tests {
         ply::write(&folder.path().join("global.ply"), &ground(0.0, 50.0), &LocalFrame::WORLD).unwrap();
         let origin = Geodetic { latitude_deg: -33.5, longitude_deg: 16.4, height_m: 70.0 };
         let gps = GpsResiduals { photographs: 9, agreeing: 8, horizontal_rms_m: 1.25, vertical_rms_m: 2.5 };
-        let georeference = Georeference { gps: Some(gps), ..Georeference::at(origin).unwrap() };
+        let residuals = Residuals { gps: Some(gps), ..Residuals::default() };
+        let georeference = Georeference { residuals, ..Georeference::at(origin).unwrap() };
         let model = Walkable::read(folder.path(), Room::UNLIMITED).map_err(|error| error.to_string());
         let picture = Captioned::new("the model from above", &Picture::new([2, 2], vec![9; 12])).unwrap();
         let client = Client::new(folder.path(), Some(georeference), model, Some(picture));
@@ -226,7 +247,12 @@ pub(crate) mod tests {
         fs::create_dir(folder.path().join("survey")).unwrap();
         fs::write(folder.path().join("survey/dsm.tif"), "a map").unwrap();
         assert!(!section(&client, "x").contains("dsm.tif"), "the survey is incomplete");
-        fs::write(folder.path().join("survey/accuracy.json"), "{}").unwrap();
+        let told = r#"{"heights": "metres above the geoid of a<b.gtx"}"#;
+        fs::write(folder.path().join("survey/accuracy.json"), told).unwrap();
+        assert!(
+            section(&client, "x")
+                .contains("Heights of maps and points are metres above the geoid of a&lt;b.gtx.")
+        );
         assert!(section(&client, "x").contains("href=\"survey/dsm.tif\""));
         assert!(script.contains("id=\"viewer-model\">H4sI") && script.contains("startViewer"));
     }
@@ -234,19 +260,14 @@ pub(crate) mod tests {
     #[test]
     fn residuals_of_merged_drones_are_told_with_their_names() {
         let gps = GpsResiduals { photographs: 9, agreeing: 8, horizontal_rms_m: 1.25, vertical_rms_m: 2.5 };
-        let drone = |name: &str| DroneResiduals {
-            name: name.into(),
-            gps: Some(gps),
-            control: Vec::new(),
-            uncertainty: None,
-            check: Vec::new(),
-        };
+        let residuals = Residuals { gps: Some(gps), ..Residuals::default() };
+        let drone = |name: &str| DroneResiduals { name: name.into(), residuals: residuals.clone() };
         let origin = cosurf_geo::Geodetic { latitude_deg: 53.3, longitude_deg: 16.4, height_m: 70.0 };
         let drones = vec![drone("east"), drone("<west>")];
         let html = accuracy(Some(&Georeference { drones, ..Georeference::at(origin).unwrap() }));
         assert!(html.contains("<td>GPS of east</td><td>8</td><td>1.250 m</td>"), "{html}");
         assert!(html.contains("GPS of &lt;west&gt;") && !html.contains("by hand"), "{html}");
-        let html = accuracy(Some(&Georeference { gps: Some(gps), ..Georeference::at(origin).unwrap() }));
+        let html = accuracy(Some(&Georeference { residuals, ..Georeference::at(origin).unwrap() }));
         assert!(html.contains("<td>GPS</td>"), "{html}");
     }
 

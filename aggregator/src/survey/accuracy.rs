@@ -5,7 +5,6 @@
 use cosurf_geo::{DroneResiduals, Geodetic, Georeference, GpsResiduals, PointResidual};
 use serde::Serialize;
 
-use super::cog::HEIGHTS;
 use super::heights::Covered;
 use super::lattice::Lattice;
 use super::solid::SolidSize;
@@ -18,7 +17,7 @@ pub struct Accuracy {
     /// EPSG number of the coordinate system of the maps and points.
     pub epsg: u32,
     /// What heights are.
-    pub heights: &'static str,
+    pub heights: String,
     /// Side of a pixel of the maps, metres in the coordinate system.
     pub gsd_m: f64,
     /// Width and height of the maps, px.
@@ -96,10 +95,11 @@ pub(super) fn accuracy_of(
     has_volumes: bool,
 ) -> Accuracy {
     let Made { covered, height_error_m, points, solid, voxel_m, cameras, splats_left_out } = *made;
+    let residuals = &georeference.residuals;
     Accuracy {
         origin: georeference.origin,
         epsg: georeference.epsg,
-        heights: HEIGHTS,
+        heights: lattice.place().heights(),
         gsd_m: lattice.gsd_m(),
         size_px: lattice.size_px(),
         covered_m2: covered.area_m2,
@@ -113,9 +113,9 @@ pub(super) fn accuracy_of(
         tile_levels: solid.levels,
         cameras,
         splats_left_out,
-        gps: georeference.gps,
-        control: PointsAccuracy::of(&georeference.control),
-        check: PointsAccuracy::of(&georeference.check),
+        gps: residuals.gps,
+        control: PointsAccuracy::of(&residuals.control),
+        check: PointsAccuracy::of(&residuals.check),
         drones: georeference.drones.clone(),
         made: made_files(contours_m, has_volumes),
     }
@@ -128,8 +128,9 @@ fn made_files(contours_m: f64, has_volumes: bool) -> Vec<MadeFile> {
         ("ortho.tif", "The splats of the model, rendered from straight above each pixel, without those that float above the mesh.".into()),
         ("confidence.tif", "How many views show the surface of dsm.tif at each pixel; the root mean square of the differences between the heights they show and dsm.tif, metres; and the error that about 68 % of such heights stay below, metres, by a model of views, differences and edges that was fitted to two known surfaces.".into()),
         ("points.laz", "The vertices of the mesh that two cameras see and that no more views look through than show, with its colours, as a Cloud-Optimised Point Cloud.".into()),
-        ("mesh.glb", "The mesh without the other vertices, decimated by quadric errors of position and colour; colours belong to vertices.".into()),
-        ("tileset.json", "The same mesh as a quadtree of tiles, each level decimated further.".into()),
+        ("mesh.glb", "The mesh without the other vertices, decimated by quadric errors of position and colour; colours belong to vertices. Its heights are above the origin.".into()),
+        ("mesh.obj", "The triangles of mesh.glb in the coordinate system and with the heights of the maps, minus the whole kilometres that its first line tells.".into()),
+        ("tileset.json", "The same mesh as a quadtree of tiles, each level decimated further; its place is earth-centred, so it needs no geoid.".into()),
         ("contours.geojson", format!("Lines every {contours_m} m, by marching squares through means of dtm.tif.")),
     ];
     if has_volumes {

@@ -19,8 +19,8 @@ use super::tiles::Tiles;
 
 /// What stands in the files where there is nothing.
 const NO_HEIGHT: f32 = -9999.0;
-/// The files say this about their heights, as EPSG has no projection with ellipsoidal heights.
-pub(super) const HEIGHTS: &str = "metres above the ellipsoid of WGS 84";
+/// EPSG number of the metre.
+const METRE: u16 = 9001;
 
 /// Writes heights, metres, as 32-bit floats. NaN becomes the value that the file declares to be none.
 pub(super) fn write_heights(
@@ -28,10 +28,7 @@ pub(super) fn write_heights(
     lattice: &Lattice,
     heights: &mut Tiles<f32>,
 ) -> Result<(), SceneError> {
-    let builder = builder(lattice)
-        .predictor(Predictor::FloatingPoint)
-        .nodata(&NO_HEIGHT.to_string())
-        .vertical_citation(HEIGHTS);
+    let builder = builder(lattice).predictor(Predictor::FloatingPoint).nodata(&NO_HEIGHT.to_string());
     write(path, lattice, builder, heights, |writer, window, values| {
         let values: Vec<f32> =
             values.iter().map(|height| if height.is_nan() { NO_HEIGHT } else { *height }).collect();
@@ -87,7 +84,14 @@ fn builder(lattice: &Lattice) -> GeoTiffBuilder {
     let [width, height] = lattice.size_px();
     let corner = lattice.map_from_px(DVec2::ZERO);
     let epsg = u16::try_from(lattice.place().projection().epsg()).expect("systems have numbers of 16 bits");
-    GeoTiffBuilder::new(width, height)
+    let vertical = |builder: GeoTiffBuilder| {
+        let builder = builder.vertical_citation(&lattice.place().heights());
+        match lattice.place().vertical_epsg() {
+            Some(epsg) => builder.vertical_epsg(epsg).vertical_units(METRE),
+            None => builder,
+        }
+    };
+    vertical(GeoTiffBuilder::new(width, height))
         .projected_epsg(epsg)
         .raster_type(RasterType::PixelIsArea)
         .pixel_scale(lattice.gsd_m(), lattice.gsd_m())

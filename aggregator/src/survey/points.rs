@@ -89,7 +89,7 @@ impl<'a> Points<'a> {
 
     fn metadata(&self, place: &Place) -> CopcWriteMetadata {
         let mut metadata = CopcWriteMetadata::default();
-        metadata.wkt_crs = Some(place.projection().wkt().to_owned());
+        metadata.wkt_crs = Some(place.wkt());
         metadata.system_identifier = Some("Gaussian splats".into());
         metadata.generating_software = Some(concat!("cosurf ", env!("CARGO_PKG_VERSION")).into());
         metadata.scale = Some((STEP_M, STEP_M, STEP_M));

@@ -1,4 +1,4 @@
-//! The surface as triangles: `mesh.glb` (glTF 2.0), and the same as 3D Tiles 1.1 (`tileset.json` and the folder `tiles`)
+//! The surface as triangles: `mesh.glb` (glTF 2.0), `mesh.obj` in the coordinates of the maps, and the same as 3D Tiles 1.1 (`tileset.json` and the folder `tiles`)
 //! for viewers that load only what they show.
 //!
 //! The mesh is cut into the leaves of a quadtree, and each leaf is decimated to an error bound. Four decimated leaves,
@@ -19,7 +19,9 @@ use std::collections::BTreeMap;
 use std::fs;
 use std::path::Path;
 
+use cosurf_geo::GeoError;
 use cosurf_scene::{LocalFrame, Mesh, SceneError, atomic};
+use glam::DVec3;
 use rayon::prelude::*;
 use serde_json::{Map, Value, json};
 
@@ -32,6 +34,8 @@ use tileset::{Bounds, Tile, tileset};
 
 /// Folder of the tiles.
 const FOLDER: &str = "tiles";
+/// Coordinates of `mesh.obj` are without multiples of this, metres.
+const OFFSET_STEP_M: f64 = 1000.0;
 /// The error of the finest tiles and of `mesh.glb`, as a share of a voxel: less than the mesh itself is wrong.
 const ERROR_VOXELS: f64 = 0.5;
 /// How many times as large the error of a tile is as that of the tiles below it. In the built-in city, a tile then has two to
@@ -77,7 +81,9 @@ pub(super) fn write_solid(
     };
     let mut level: BTreeMap<Key, Node> = leaves.par_iter().map(leaf).collect();
     let all: Vec<[u32; 3]> = level.values().flat_map(|node| node.triangles.iter().copied()).collect();
-    parts::part(mesh, &all).out_of_frame(frame).write_glb(&out.join("mesh.glb"), &extras(place))?;
+    let whole = parts::part(mesh, &all).out_of_frame(frame);
+    whole.write_glb(&out.join("mesh.glb"), &extras(place))?;
+    write_obj(&out.join("mesh.obj"), whole, place)?;
     let size = SolidSize { triangles: all.len(), error_m, levels: tree.depth() as usize + 1 };
     drop(all);
 
@@ -97,6 +103,25 @@ pub(super) fn write_solid(
     let json = tileset(&tiles, FOLDER, place.ecef_from_enu());
     atomic::write_bytes(&out.join("tileset.json"), json.to_string().as_bytes())?;
     Ok(size)
+}
+
+/// Writes a mesh of the world in the coordinates of the map, without their whole kilometres: tools that read OBJ have
+/// numbers of 32 bits.
+fn write_obj(path: &Path, mut mesh: Mesh, place: &Place) -> Result<(), SurveyError> {
+    let map = |position: [f32; 3]| place.map_from_enu(mesh.origin + DVec3::from(position.map(f64::from)));
+    let first = mesh.positions.first().map_or(Ok(DVec3::ZERO), |first| map(*first))?;
+    let offset = ((first / OFFSET_STEP_M).floor() * OFFSET_STEP_M).truncate().extend(0.0);
+    let positions: Result<Vec<[f32; 3]>, GeoError> =
+        mesh.positions.iter().map(|position| Ok((map(*position)? - offset).as_vec3().to_array())).collect();
+    (mesh.positions, mesh.origin) = (positions?, DVec3::ZERO);
+    let comment = format!(
+        "EPSG:{}, {}; add {} to x and {} to y",
+        place.projection().epsg(),
+        place.heights(),
+        offset.x,
+        offset.y
+    );
+    Ok(mesh.write_obj(path, &comment)?)
 }
 
 /// Removes the tiles of an earlier run, of which there may have been more.
@@ -194,6 +219,18 @@ mod tests {
         let json: Value =
             serde_json::from_slice(&fs::read(out.path().join("tileset.json")).unwrap()).unwrap();
         assert_eq!(json["asset"]["version"], "1.1");
+        let obj = fs::read_to_string(out.path().join("mesh.obj")).unwrap();
+        let map = place().map_from_enu(DVec3::new(200.0, 200.0, 0.0)).unwrap();
+        let comment = "# EPSG:32633, metres above the ellipsoid of WGS 84; add 593000 to x and 5906000 to y";
+        assert!(obj.starts_with(comment), "{}", &obj[..200]);
+        let offset = DVec3::new(593_000.0, 5_906_000.0, 0.0);
+        let of =
+            |line: &str| -> Vec<f64> { line.split(' ').skip(1).map(|word| word.parse().unwrap()).collect() };
+        let corner = |v: &Vec<f64>| (map.x - v[0] - offset.x).hypot(map.y - v[1] - offset.y) < 0.01;
+        let found = obj.lines().filter(|line| line.starts_with("v ")).map(of).find(corner).unwrap();
+        let height_m = 3.0 * f64::sin(20.0) * f64::cos(16.0) + 70.0;
+        assert!((found[2] - height_m).abs() < 0.02 && (found[5] - 200.0 / 255.0).abs() < 1e-3, "{found:?}");
+        assert_eq!(obj.lines().filter(|line| line.starts_with("f ")).count(), size.triangles);
         let mut pending = vec![(json["root"].clone(), f64::INFINITY)];
         let mut names = Vec::new();
         while let Some((tile, most_m)) = pending.pop() {

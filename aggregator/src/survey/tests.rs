@@ -23,7 +23,7 @@ use super::splats::splats_from_above;
 use super::tiles::Tiles;
 use super::witnesses::Witnesses;
 use super::{FusedMesh, SurveyError, SurveyEvent, SurveyOrder, survey};
-use crate::testing::above;
+use crate::testing::{above, geoid, undulation_m};
 
 /// Metres up per metre east.
 const SLOPE: f64 = 0.2;
@@ -63,6 +63,7 @@ fn order(folder: &Path) -> SurveyOrder {
         out: folder.join("out"),
         georeference: georeference(),
         mesh: None,
+        geoid: None,
         gsd_m: Some(0.1),
         contours_m: 0.5,
         volumes: None,
@@ -75,7 +76,7 @@ fn order(folder: &Path) -> SurveyOrder {
 fn heights(scene: &Scene, folder: &Path, tile_px: u32) -> (Lattice, Vec<f32>) {
     let relief = scene.fuse_mesh(MEMORY_BYTES, 2, |_| ()).unwrap();
     let witnesses = Witnesses::of(&scene.cameras);
-    let place = Place::new(&georeference()).unwrap();
+    let place = Place::new(&georeference(), None).unwrap();
     let ground = Ground::of(&relief.mesh, &scene.frame, &scene.cameras, &witnesses, &place).unwrap();
     let tree = Quadtree::of(&relief.mesh, &ground.is_seen).unwrap();
     let surface =
@@ -136,7 +137,7 @@ fn all_files_are_written_and_readers_understand_them() {
     let mut points = las::Reader::from_path(out("points.laz")).unwrap();
     assert_eq!(points.header().number_of_points(), accuracy.points);
     assert!(points.header().has_wkt_crs());
-    let place = Place::new(&order.georeference).unwrap();
+    let place = Place::new(&order.georeference, None).unwrap();
     let middle = place.map_from_enu(DVec3::ZERO).unwrap();
     for point in points.read_all().unwrap().points().map(Result::unwrap) {
         let from = DVec3::new(point.x, point.y, point.z) - middle;
@@ -159,6 +160,39 @@ fn all_files_are_written_and_readers_understand_them() {
     assert!(levels.contains(&70.0) && levels.contains(&71.0) && levels.len() >= 5, "{levels:?}");
     check_with_gdal(&out("dsm.tif"), &out("ortho.tif"));
     validated::check(&order.out, accuracy.points);
+}
+
+#[test]
+fn heights_above_a_geoid_are_told_in_every_file() {
+    let folder = tempfile::tempdir().unwrap();
+    model(folder.path());
+    let order = SurveyOrder { geoid: Some(geoid(folder.path())), ..order(folder.path()) };
+    let accuracy = survey(&order, |_| ()).unwrap();
+    let told = "metres above the geoid of egm96_15.gtx, EPSG:5773";
+    assert_eq!(accuracy.heights, told);
+    // The slope has 70 m above the ellipsoid in its middle, where the geoid has 29.9 m.
+    let [low_m, high_m] = accuracy.height_range_m;
+    let middle_m = 70.0 - undulation_m(16.4, 53.3);
+    assert!(low_m < middle_m && middle_m < high_m && high_m - low_m < 6.0, "{low_m} {middle_m} {high_m}");
+    let out = |name: &str| order.out.join(name);
+    let obj = std::fs::read_to_string(out("mesh.obj")).unwrap();
+    assert!(obj.lines().next().is_some_and(|line| line.contains(told)));
+    let points = las::Reader::from_path(out("points.laz")).unwrap();
+    let wkt = points.header().get_wkt_crs_bytes().unwrap();
+    let wkt = String::from_utf8_lossy(wkt);
+    assert!(wkt.starts_with("COMPD_CS[") && wkt.contains(r#"AUTHORITY["EPSG","5773"]"#), "{wkt}");
+    let middle = Place::new(&order.georeference, None).unwrap().map_from_enu(DVec3::ZERO).unwrap();
+    if Command::new("gdalinfo").arg("--version").output().is_err() {
+        return skip("REQUIRE_GDAL", "gdalinfo is not installed");
+    }
+    for map in ["dsm.tif", "dtm.tif", "confidence.tif", "ortho.tif"] {
+        let info = Command::new("gdalinfo").arg("-json").arg(out(map)).output().unwrap();
+        let info: serde_json::Value = serde_json::from_slice(&info.stdout).unwrap();
+        let wkt = info["coordinateSystem"]["wkt"].as_str().unwrap();
+        assert!(wkt.contains("EGM96 height") && wkt.contains("32633"), "{map}: {wkt}");
+    }
+    let height = values_at(&out("dsm.tif"), &[middle.x, middle.y + 1.5].map(|at| at.to_string()));
+    assert!((height[0] - middle_m).abs() < 0.03, "{height:?} {middle_m}");
 }
 
 #[test]
@@ -254,7 +288,7 @@ fn check_with_gdal(dsm: &Path, ortho: &Path) {
     assert_eq!(ortho_info["geoTransform"], dsm_info["geoTransform"]);
     assert_eq!(ortho_info["bands"].as_array().unwrap().len(), 4);
     // The pixels north and south of the middle, 1.5 m from it; the red splat is above the northern one.
-    let middle = Place::new(&georeference()).unwrap().map_from_enu(DVec3::ZERO).unwrap();
+    let middle = Place::new(&georeference(), None).unwrap().map_from_enu(DVec3::ZERO).unwrap();
     for (north_m, wanted) in [(1.5, [26.0, 51.0, 204.0]), (-1.5, [26.0, 204.0, 51.0])] {
         let at = [middle.x.to_string(), (middle.y + north_m).to_string()];
         let values = values_at(ortho, &at);

@@ -1,6 +1,6 @@
 //! Why a place or a file is refused.
 
-use std::path::PathBuf;
+use std::path::{Path, PathBuf};
 
 /// Why a place, a coordinate system or a file is refused.
 #[derive(Debug, thiserror::Error)]
@@ -79,4 +79,11 @@ pub enum GeoError {
     /// Too little is known to say where a reconstruction lies.
     #[error("{0}")]
     NoFit(&'static str),
+}
+
+impl GeoError {
+    /// The refusal of a file that somebody else wrote.
+    pub(crate) fn refused(path: &Path, reason: &str) -> Self {
+        Self::Refused { path: path.into(), reason: reason.into() }
+    }
 }

@@ -17,6 +17,17 @@ pub struct Georeference {
     pub origin: Geodetic,
     /// EPSG number of the coordinate system of what is delivered.
     pub epsg: u32,
+    /// How well the place is known.
+    #[serde(flatten)]
+    pub residuals: Residuals,
+    /// Of a model that was merged from several: how well the place of each is known. `residuals` is then empty.
+    #[serde(default, skip_serializing_if = "Vec::is_empty")]
+    pub drones: Vec<DroneResiduals>,
+}
+
+/// How well a place is known.
+#[derive(Clone, Debug, Default, PartialEq, Serialize, Deserialize)]
+pub struct Residuals {
     /// How well the photographs' GPS agrees with their poses; absent if the place does not come from GPS.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub gps: Option<GpsResiduals>,
@@ -29,9 +40,6 @@ pub struct Georeference {
     /// Points on the ground that were held out, to tell how accurate the rest is.
     #[serde(default, skip_serializing_if = "Vec::is_empty")]
     pub check: Vec<PointResidual>,
-    /// Of a model that was merged from several: how well the place of each is known. The fields above are then empty.
-    #[serde(default, skip_serializing_if = "Vec::is_empty")]
-    pub drones: Vec<DroneResiduals>,
 }
 
 /// How well the place of one of several merged models is known.
@@ -39,18 +47,9 @@ pub struct Georeference {
 pub struct DroneResiduals {
     /// The folder that the model came from.
     pub name: String,
-    /// As in [`Georeference`].
-    #[serde(default, skip_serializing_if = "Option::is_none")]
-    pub gps: Option<GpsResiduals>,
-    /// As in [`Georeference`].
-    #[serde(default, skip_serializing_if = "Vec::is_empty")]
-    pub control: Vec<PointResidual>,
-    /// As in [`Georeference`].
-    #[serde(default, skip_serializing_if = "Option::is_none")]
-    pub uncertainty: Option<FitUncertainty>,
-    /// As in [`Georeference`].
-    #[serde(default, skip_serializing_if = "Vec::is_empty")]
-    pub check: Vec<PointResidual>,
+    /// How well its place is known.
+    #[serde(flatten)]
+    pub residuals: Residuals,
 }
 
 /// How well the GPS of photographs agrees with their poses.
@@ -110,20 +109,17 @@ impl Georeference {
     pub fn at(origin: Geodetic) -> Result<Self, GeoError> {
         origin.check()?;
         let epsg = Projection::utm_of(&origin).epsg();
-        let (control, check, drones) = (Vec::new(), Vec::new(), Vec::new());
-        Ok(Self { origin, epsg, gps: None, uncertainty: None, control, check, drones })
+        Ok(Self { origin, epsg, residuals: Residuals::default(), drones: Vec::new() })
     }
 
     /// Moves what tells how well the place is known from `self`: one entry called `name`, or those of the models that it was
     /// merged from, or none if nothing is known.
     pub fn take_residuals(&mut self, name: &str) -> Vec<DroneResiduals> {
-        let Self { gps, control, uncertainty, check, drones, .. } = self;
-        let mut all = std::mem::take(drones);
+        let mut all = std::mem::take(&mut self.drones);
         all.iter_mut().for_each(|drone| drone.name = format!("{name}/{}", drone.name));
-        let [control, check] = [control, check].map(std::mem::take);
-        let (gps, uncertainty) = (gps.take(), uncertainty.take());
-        if gps.is_some() || uncertainty.is_some() || !control.is_empty() || !check.is_empty() {
-            all.push(DroneResiduals { name: name.into(), gps, control, uncertainty, check });
+        let residuals = std::mem::take(&mut self.residuals);
+        if residuals != Residuals::default() {
+            all.push(DroneResiduals { name: name.into(), residuals });
         }
         all
     }
@@ -183,7 +179,9 @@ mod tests {
         let origin = Geodetic { latitude_deg: 30.1712, longitude_deg: -98.0897, height_m: 301.5 };
         let residual = PointResidual { name: "A".into(), photographs: 3, residual_m: [0.01, -0.02, 0.05] };
         let gps = GpsResiduals { photographs: 75, agreeing: 70, horizontal_rms_m: 2.5, vertical_rms_m: 4.0 };
-        Georeference { gps: Some(gps), control: vec![residual], ..Georeference::at(origin).unwrap() }
+        let residuals = Residuals { gps: Some(gps), control: vec![residual], ..Residuals::default() };
+        let drones = vec![DroneResiduals { name: "east".into(), residuals: residuals.clone() }];
+        Georeference { residuals, drones, ..Georeference::at(origin).unwrap() }
     }
 
     #[test]
@@ -192,6 +190,9 @@ mod tests {
         assert_eq!(Georeference::of_folder(folder.path()).unwrap(), None);
         fs::write(folder.path().join(Georeference::FILE), example().to_json()).unwrap();
         assert_eq!(Georeference::of_folder(folder.path()).unwrap(), Some(example()));
+        let json: serde_json::Value = serde_json::from_str(&example().to_json()).unwrap();
+        let agreeing = [&json, &json["drones"][0]].map(|its| its["gps"]["agreeing"].as_u64());
+        assert_eq!(agreeing, [Some(70); 2], "the residuals stand beside the place and the name");
         let foreign = r#"{"origin_lat": 30.1712, "origin_lon": -98.0897, "scale": 11.3}"#;
         fs::write(folder.path().join(Georeference::FILE), foreign).unwrap();
         assert_eq!(Georeference::of_folder(folder.path()).unwrap(), None, "a file of another program");

@@ -6,11 +6,13 @@
 //! - [`Geodetic`]: latitude, longitude and height above the ellipsoid.
 //! - [`SiteFrame`]: converts between ENU and these.
 //! - [`Projection`]: a coordinate system of maps by its EPSG number, for what is delivered.
+//! - [`Geoid`]: how high the geoid lies above the ellipsoid, by a grid that the user gives.
 //! - [`Georeference`]: the content of `geo.json`, which lies beside a dataset or a model.
 //! - [`PhotoInfo`], [`read_geo_txt`], [`read_gcp_list`]: what photographs and lists beside them tell about places.
 //! - [`fit()`]: the [`Similarity`] that takes a reconstruction to where these places say.
 //!
-//! What it knows nothing about: pixels, cameras, splats, how a reconstruction is made. Heights are ellipsoidal; it has no geoid.
+//! What it knows nothing about: pixels, cameras, splats, how a reconstruction is made. Heights are ellipsoidal where
+//! nothing else is said; no geoid is built in.
 //!
 //! Where to start reading: [`SiteFrame`].
 //!
@@ -35,6 +37,7 @@ mod error;
 mod fit;
 mod gcp;
 mod geo_txt;
+mod geoid;
 mod georeference;
 mod photo;
 mod projection;
@@ -47,7 +50,10 @@ pub use error::GeoError;
 pub use fit::{Fit, Judged, Sighting, Up, fit};
 pub use gcp::{ControlPoint, Mark, read_gcp_list};
 pub use geo_txt::{PhotoPlace, read_geo_txt};
-pub use georeference::{DroneResiduals, FitUncertainty, Georeference, GpsResiduals, PointResidual};
+pub use geoid::Geoid;
+pub use georeference::{
+    DroneResiduals, FitUncertainty, Georeference, GpsResiduals, PointResidual, Residuals,
+};
 pub use photo::{Gps, PhotoInfo};
 pub use projection::Projection;
 pub use similarity::Similarity;

@@ -32,10 +32,7 @@ impl Mesh {
         match path.extension().and_then(|extension| extension.to_str()) {
             Some("ply") => self.write_ply(path),
             Some("glb") => self.write_glb(path, &serde_json::Map::new()),
-            Some("obj") => {
-                self.assert_whole();
-                obj::write(path, self)
-            }
+            Some("obj") => self.write_obj(path, "x east, y north, z up where the dataset has them, metres"),
             _ => Err(SceneError::malformed(
                 path,
                 "meshes are written as .ply, .glb or .obj; choose one of these",
@@ -47,6 +44,12 @@ impl Mesh {
     pub fn write_ply(&self, path: &Path) -> Result<(), SceneError> {
         self.assert_whole();
         ply::write(path, self)
+    }
+
+    /// Writes a Wavefront OBJ in world coordinates, atomically. `comment` is its first line.
+    pub fn write_obj(&self, path: &Path, comment: &str) -> Result<(), SceneError> {
+        self.assert_whole();
+        obj::write(path, self, comment)
     }
 
     /// Writes a binary glTF 2.0 file, atomically. The world's z axis is taken as up, as in the drone scenes; a rotation

@@ -91,6 +91,7 @@ impl Watched {
             out: dataset.clone(),
             colmap: "colmap".into(),
             origin,
+            geoid: None,
             max_size_px: max_size_px.unwrap_or(INGEST_SIZE_PX),
         };
         ingest(&plan, &mut |event| progress.ingesting(&event))?;

@@ -9,9 +9,10 @@ use glam::DVec3;
 use super::data::Mesh;
 use crate::{SceneError, atomic};
 
-pub(super) fn write(path: &Path, mesh: &Mesh) -> Result<(), SceneError> {
+/// Writes the mesh, with a comment of one line.
+pub(super) fn write(path: &Path, mesh: &Mesh, comment: &str) -> Result<(), SceneError> {
     atomic::write(path, |out| {
-        writeln!(out, "# x east, y north, z up where the dataset has them, metres")?;
+        writeln!(out, "# {comment}")?;
         for (i, position) in mesh.positions.iter().enumerate() {
             write!(out, "v {}", coordinates(*position, mesh.origin))?;
             if let Some(rgb) = mesh.rgb.get(i) {
