@@ -77,7 +77,9 @@ fn photographs_that_are_all_the_same_have_no_poses() {
         .map(|entry| entry.unwrap().path())
         .find(|path| path.extension().is_some_and(|end| end == "JPG"))
         .unwrap();
-    (0..4).for_each(|i| drop(fs::copy(&first, same.join(format!("{i}.jpg"))).unwrap()));
+    for i in 0..4 {
+        fs::copy(&first, same.join(format!("{i}.jpg"))).unwrap();
+    }
     let run = Command::new(program("cosurf-agent"))
         .args(["ingest", "--out"])
         .args([&data, &same])
@@ -96,7 +98,7 @@ fn one_command_makes_deliverables_of_photographs() {
     }
     let folder = tempfile::tempdir().unwrap();
     let (photographs, out) = (folder.path().join("photographs"), folder.path().join("out"));
-    let settings = RawSettings { gps_noise_m: 0.25, gps_bias_m: 0.0, targets: 0, ..RawSettings::default() };
+    let settings = RawSettings { gps_noise_m: 0.25, gps_bias_m: 0.0, targets: 9, ..RawSettings::default() };
     City::build(&CITY).unwrap().write_raw(&settings, &photographs, |_, _| ()).unwrap();
     let run = Command::new(program("cosurf-aggregator"))
         .args(["mission", "--agents", "2", "--steps", "60", "--max-size", "200", "--data"])
@@ -119,6 +121,42 @@ fn one_command_makes_deliverables_of_photographs() {
     assert!(accuracy["covered_m2"].as_f64().unwrap() > 800.0, "{accuracy}");
     let lowest_m = accuracy["height_range_m"][0].as_f64().unwrap();
     assert!((lowest_m - settings.origin.height_m).abs() < 10.0, "{accuracy}");
+    check_heights(&photographs, &out.join("survey/dsm.tif"), &accuracy);
+}
+
+/// Compares the map at the check points, as GDAL reads it, with where they were measured, and with what the survey claims.
+fn check_heights(photographs: &Path, dsm: &Path, accuracy: &serde_json::Value) {
+    let check = &accuracy["check"];
+    let claimed_m = accuracy["height_error_m"].as_f64().unwrap().hypot(check["rmse_m"][2].as_f64().unwrap());
+    let list = fs::read_to_string(photographs.join("gcp_list.txt")).unwrap();
+    let points = check["points"].as_array().unwrap();
+    let mut squares = Vec::new();
+    for point in points {
+        let name = point["name"].as_str().unwrap();
+        let line = list.lines().find(|line| line.ends_with(name)).unwrap();
+        let [east, north, height, ..] = line.split_whitespace().collect::<Vec<_>>()[..] else {
+            panic!("{line}")
+        };
+        let read = Command::new("gdallocationinfo")
+            .args(["-valonly", "-geoloc"])
+            .arg(dsm)
+            .args([east, north])
+            .output();
+        let Ok(read) = read else { return skip("REQUIRE_GDAL", "gdallocationinfo is not installed") };
+        let Ok(read_m) = String::from_utf8(read.stdout).unwrap().trim().parse::<f64>() else { continue };
+        // Where nobody sees the ground, there is no height.
+        if read_m > -1000.0 {
+            squares.push((read_m - height.parse::<f64>().unwrap()).powi(2));
+        }
+    }
+    assert!(!squares.is_empty(), "{check}");
+    let rms_m = (squares.iter().sum::<f64>() / squares.len() as f64).sqrt();
+    println!(
+        "{} of {} check points: off by {rms_m:.3} m, claimed {claimed_m:.3} m",
+        squares.len(),
+        points.len()
+    );
+    assert!(rms_m < 2.0 * claimed_m, "off by {rms_m} m, claimed {claimed_m} m: {accuracy}");
 }
 
 #[test]

@@ -242,8 +242,10 @@ mod tests {
         let begun = std::time::Instant::now();
         let found = Photographs::read(folder.path()).unwrap();
         let names: Vec<&str> = found.usable.iter().map(|photograph| &*photograph.name).collect();
-        assert_eq!(names, ["a.jpg", "b.jpg", "c.jpg"], "{:?}", found.left_out);
-        assert_eq!(found.left_out.len(), 2, "{:?}", found.left_out);
+        // A chunk of a PNG may be as long as it likes; what it tells is not read.
+        assert_eq!(names, ["a.jpg", "b.jpg", "c.jpg", "long.png"], "{:?}", found.left_out);
+        assert_eq!((found.usable[3].gps, found.left_out.len()), (None, 1), "{:?}", found.left_out);
+        assert!(found.left_out[0].1.contains("damaged"), "{:?}", found.left_out);
         assert!(begun.elapsed().as_secs() < 20, "{:?}", begun.elapsed());
     }
 

@@ -1,4 +1,5 @@
-//! Fuzzes the readers of files that users provide: PLY, SPZ, COLMAP, transforms.json and reconstruction.json.
+//! Fuzzes the readers of files that users provide: PLY, SPZ, COLMAP, transforms.json, reconstruction.json, and the cameras of
+//! Metashape and RealityCapture.
 
 use std::fs;
 use std::io::{Read, Write};
@@ -234,6 +235,47 @@ fn reconstructions_of_opensfm_are_read_or_refused() {
         ..target("reconstruction.json", vec![text.to_vec()])
     };
     hammer(limits, |bytes| {
+        fs::write(&path, bytes).unwrap();
+        Dataset::cameras(&path).is_ok()
+    });
+}
+
+#[test]
+fn cameras_of_metashape_are_read_or_refused() {
+    let text = r#"<?xml version="1.0" encoding="UTF-8"?><document version="2.0.0"><chunk><sensors><sensor id="0" type="frame">
+<calibration class="adjusted"><resolution width="64" height="48"/><f>50</f><cx>1</cx><cy>-1</cy><k1>0</k1></calibration></sensor>
+</sensors><components><component id="0"><transform><rotation>1 0 0 0 1 0 0 0 1</rotation><translation>1 2 3</translation>
+<scale>2</scale></transform></component></components><cameras><camera id="0" sensor_id="0" component_id="0" label="a.jpg">
+<transform>1 0 0 0.5 0 1 0 2 0 0 1 -3 0 0 0 1</transform></camera></cameras></chunk></document>"#;
+    read_or_refused("cameras.xml", text);
+}
+
+#[test]
+fn cameras_of_realitycapture_are_read_or_refused() {
+    let folder = folder();
+    cosurf_scene::Picture::new([64, 48], vec![9; 64 * 48 * 3])
+        .write_jpeg(&folder.path().join("a.jpg"), 90)
+        .unwrap();
+    let csv = "#name,x,y,alt,heading,pitch,roll,f,px,py,k1,k2,k3,k4,t1,t2\na.jpg,1,2,3,10,20,30,35,0.1,0.2,0,0,0,0,0,0\n";
+    let path = folder.path().join("cameras.csv");
+    hammer(target("cameras.csv", vec![csv.into()]), |bytes| {
+        fs::write(&path, bytes).unwrap();
+        Dataset::cameras(&path).is_ok()
+    });
+    fs::remove_file(path).unwrap();
+    let xmp = r#"<x:xmpmeta xmlns:x="adobe:ns:meta/"><rdf:RDF xmlns:rdf="http://www.w3.org/1999/02/22-rdf-syntax-ns#">
+<rdf:Description xcr:DistortionModel="brown3" xcr:FocalLength35mm="35" xcr:Rotation="1 0 0 0 1 0 0 0 1"
+xmlns:xcr="http://www.capturingreality.com/ns/xcr/1.1#"><xcr:Position>1 2 3</xcr:Position></rdf:Description></rdf:RDF></x:xmpmeta>"#;
+    hammer(target("a.xmp", vec![xmp.into()]), |bytes| {
+        fs::write(folder.path().join("a.xmp"), bytes).unwrap();
+        Dataset::cameras(folder.path()).is_ok()
+    });
+}
+
+fn read_or_refused(name: &str, sample: &str) {
+    let folder = folder();
+    let path = folder.path().join(name);
+    hammer(target(name, vec![sample.into()]), |bytes| {
         fs::write(&path, bytes).unwrap();
         Dataset::cameras(&path).is_ok()
     });
