@@ -11,6 +11,7 @@ use cosurf_scene::{LocalFrame, Pose, Splats};
 use cosurf_tests::dice::Dice;
 use glam::{DQuat, DVec3};
 
+pub(crate) use super::links::tests::local;
 use super::*;
 use crate::merge::InMemory;
 use crate::merge::cameras::{middle, radius};

@@ -12,6 +12,7 @@ mod hierarchy;
 mod life;
 mod lost;
 mod parts;
+mod places;
 mod plan;
 mod reports;
 mod restoring;
@@ -58,6 +59,16 @@ impl Drone {
         let Model { splats, cameras } = model;
         let offer = Offer::new(identity.device, ModelId(number), ModelKind::Local, 3, splats, cameras);
         node.upload(offer.unwrap());
+        Self { node, transport: network.join(&identity), global: None }
+    }
+
+    /// A drone whose model lies in a frame of its own.
+    fn without_place(network: &MemoryNetwork, name: &str, number: u64, model: &Model) -> Self {
+        let identity = identity(name, Role::Device);
+        let mut node = Node::new(identity, LIMITS, &[]);
+        let Model { splats, cameras } = model;
+        let offer = Offer::new(identity.device, ModelId(number), ModelKind::Local, 3, splats, cameras);
+        node.upload(offer.unwrap().without_place());
         Self { node, transport: network.join(&identity), global: None }
     }
 

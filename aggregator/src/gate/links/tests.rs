@@ -12,9 +12,9 @@ use crate::gate::extent::extents;
 use crate::gate::frames::{Placement, find_frames};
 use crate::gate::similarity::tests::wrong;
 use crate::gate::tests::{MOVED, UNMOVED, workspace};
-use crate::gate::{Doubt, admit};
-use crate::merge::InMemory;
+use crate::gate::{Doubt, Frames, admit};
 use crate::merge::shifts::Shifts;
+use crate::merge::{InMemory, Locals, MergeError, ModelSize};
 use cosurf_link::Model;
 
 /// A pseudo-random number in 0..1 for each lattice point; another `salt` gives other numbers.
@@ -146,4 +146,51 @@ fn a_model_in_another_frame_is_moved_if_allowed_and_kept_out_otherwise() {
     assert!(moved.place(1).by.is_some() && moved.place(0).by.is_none());
     let x = moved.load(1).unwrap().cameras[0].cam_from_world.center().x;
     assert!((x - -3.0).abs() < 0.05, "its first camera is at {x:.3} m");
+}
+
+/// Models of a site of which some tell that their place on the earth is not known.
+struct SomePlaced {
+    models: InMemory,
+    is_placed: [bool; 2],
+}
+
+impl Locals for SomePlaced {
+    fn count(&self) -> usize {
+        self.models.count()
+    }
+
+    fn size(&self, index: usize) -> Result<ModelSize, MergeError> {
+        self.models.size(index)
+    }
+
+    fn load(&self, index: usize) -> Result<Model, MergeError> {
+        self.models.load(index)
+    }
+
+    fn is_placed(&self, index: usize) -> bool {
+        self.is_placed[index]
+    }
+}
+
+#[test]
+fn a_model_without_a_place_is_found_in_a_site_whose_frames_are_vouched_for() {
+    let there = Similarity {
+        scale: 0.1,
+        rotation: DQuat::from_rotation_z(2.0),
+        translation: DVec3::new(60.0, -80.0, 20.0),
+    };
+    let frames = Frames { refine: true, vouched: true };
+    let by = |is_placed| {
+        let models = InMemory(vec![local(-3.0, 10), there.model(&local(3.0, 20))]);
+        let locals = SomePlaced { models, is_placed };
+        let scratch = std::env::temp_dir();
+        let admitted = admit(&locals, frames, workspace(&scratch), &|| false).unwrap();
+        (0..admitted.count()).find(|i| admitted.place(*i).local == 1).and_then(|i| {
+            let x = admitted.load(i).unwrap().cameras[0].cam_from_world.center().x;
+            admitted.place(i).by.map(|_| x)
+        })
+    };
+    let x = by([true, false]).expect("a model without a place is moved");
+    assert!(x.abs() < 0.05, "its first camera is at {x:.3} m");
+    assert_eq!(by([true, true]), None, "a model whose frame is known stays there");
 }
