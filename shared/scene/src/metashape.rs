@@ -127,8 +127,9 @@ fn lens(sensor: Node) -> Result<Lens, Refusal> {
     let kind = sensor.attribute("type").unwrap_or("frame");
     let calibrations = || sensor.children().filter(|node| node.has_tag_name("calibration"));
     // Later ones are adjusted; the first may be that of the EXIF data.
-    let calibration =
-        calibrations().find(|node| node.attribute("class") == Some("adjusted")).or(calibrations().last());
+    let calibration = calibrations()
+        .find(|node| node.attribute("class") == Some("adjusted"))
+        .or(calibrations().next_back());
     let calibration =
         calibration.ok_or("its sensor has no calibration; align the photographs, and export again")?;
     let of = |name: &str| Ok::<f64, Refusal>(value(calibration, name)?.unwrap_or(0.0));
