@@ -28,12 +28,13 @@
 //! [`viewer`] stands below `report`: a model that people walk through in a browser. [`station`] serves it, and shows what
 //! services and missions note on its board.
 //! [`worker`] stands beside `service`: it distils tiles for merges on other computers. [`pki`] stands alone: it makes the
-//! keys of a site. `quiet` limits lines in the log.
+//! keys of a site. `quiet` limits lines in the log, `colors` gives each device its colour.
 //!
 //! No module uses a module above it, and no file uses a file above it. If two files need the same type, it is in a
 //! third file below both.
 
 pub mod broker;
+mod colors;
 pub mod evaluate;
 pub mod gate;
 pub mod gateway;

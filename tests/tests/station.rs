@@ -169,7 +169,7 @@ fn the_page_of_a_mission_shows_progress_and_model_in_time() {
     let model = merged.elapsed();
     println!("first progress after {progress:.1?}, model after {model:.1?}");
     assert!(progress < Duration::from_secs(2) && model < Duration::from_secs(5), "{progress:?} {model:?}");
-    let devices = browser.value("cosurf.then((viewer) => viewer.scene.devices)");
+    let devices = browser.value("cosurf.then((viewer) => viewer.scene.devices.map(({name}) => name))");
     assert_eq!(devices, serde_json::json!(["agent-1", "agent-2"]));
 }
 
@@ -249,6 +249,8 @@ fn pages_have_no_serious_fault_on_any_screen() {
     let Some(axe) = Axe::installed() else { return };
     let site = Site::new();
     let program = site.start();
+    // A device without a model comes first in the tables.
+    tell(&mut site.client(), "a-drone", 5);
     tell(&mut site.client(), "drone-1", 17);
     site.upload("drone-1", 1, 2000);
     site.upload("drone-2", 1, 2100);
@@ -272,12 +274,39 @@ fn pages_have_no_serious_fault_on_any_screen() {
             if *name == "live" {
                 await_page(&browser, "document.querySelector('#devices td')", PATIENCE);
             }
+            devices_have_their_colours(&browser, name);
             keep(&browser, &format!("{name}-{width_px}-{}", if is_dark { "dark" } else { "light" }));
             assert_eq!(axe.faults(&browser), [""; 0], "{name}, {width_px} px wide, dark: {is_dark}");
             let fits = "document.documentElement.scrollWidth <= innerWidth";
             assert!(browser.holds(fits), "{name} is wider than {width_px} px");
         }
     }
+}
+
+/// A device has the same colour in the legend of the model as in the tables and on the map of a page.
+fn devices_have_their_colours(browser: &Chromium, page: &str) {
+    let colors = browser.value(
+        "(() => { const of = (it) => getComputedStyle(it).backgroundColor; const colors = {}; \
+         const add = (name, color) => (colors[name] ??= []).push(color); \
+         document.querySelectorAll('.legend li').forEach((it) => add(it.innerText, of(it.firstChild))); \
+         document.querySelectorAll('.dot').forEach((it) => add(it.parentElement.innerText, of(it))); \
+         document.querySelectorAll('#map text').forEach((it) => it.previousSibling?.tagName === 'circle' \
+           && add(it.textContent, getComputedStyle(it.previousSibling).fill)); \
+         return ['drone-1', 'drone-2'].map((name) => colors[name]); })()",
+    );
+    let [one, other] = [0, 1].map(|i| colors[i].as_array().unwrap());
+    // The legend; the table, which the page of one model lacks; and the map, which only the live page has.
+    let places = match page {
+        "live" => 3,
+        "report" => 2,
+        _ => 1,
+    };
+    assert_eq!([one.len(), other.len()], [places; 2], "{page}: {colors}");
+    assert!(
+        one.iter().all(|color| *color == one[0]) && other.iter().all(|color| *color == other[0]),
+        "{colors}"
+    );
+    assert_ne!(one[0], other[0]);
 }
 
 /// Keeps a picture of the page for people to look at.

@@ -172,7 +172,7 @@ fn areas_and_profiles_are_those_of_the_ground(browser: &Chromium) {
 /// The number of photographs that each splat is on, and the device of the one that shows it finest, against the cameras; then
 /// the colours of both layers.
 fn layers_of_photographs_count_what_these_show(browser: &Chromium) {
-    let devices = "cosurf.then((viewer) => { viewer.scene.devices = ['a', 'b']; \
+    let devices = "cosurf.then((viewer) => { viewer.scene.devices = ['a', 'b'].map((name, i) => ({name, color: [[20, 40, 200], [198, 47, 73]][i]})); \
                    viewer.scene.cameras.forEach((camera, i) => { camera.device = i >> 1; }); \
                    viewer.section.querySelector('[data-value=\"4\"]').hidden = false; \
                    return viewer.drawing.sorter.marks(viewer.scene.cameras)\
@@ -190,7 +190,7 @@ fn layers_of_photographs_count_what_these_show(browser: &Chromium) {
             is_in.then_some((at.z, k >> 1))
         });
         let shown: Vec<(f64, usize)> = shown.collect();
-        let owner = shown.iter().min_by(|a, b| a.0.total_cmp(&b.0)).map_or(255, |(_, device)| *device);
+        let owner = shown.iter().min_by(|a, b| a.0.total_cmp(&b.0)).map_or(65535, |(_, device)| *device);
         let got = [0, 1].map(|part| marks[part][i].as_u64().unwrap() as usize);
         wrong += usize::from(got != [shown.len(), owner]);
     }
@@ -211,7 +211,7 @@ fn layers_of_photographs_count_what_these_show(browser: &Chromium) {
     assert!(confidence[1].as_str().unwrap().contains("16 or more"), "{confidence}");
     assert!(owner[1].as_str().unwrap().starts_with("a\nb\n") && owner[2] == "true", "{owner}");
     assert_eq!(colour[1], "", "{colour}");
-    // The middle of the third picture is on all four, and the fourth, of b, is the nearest: hsl(349.5 62% 48%).
+    // The middle of the third picture is on all four, and the fourth, of b, is the nearest.
     let [red, green, blue] = [0, 1, 2].map(|k| owner[0][k].as_f64().unwrap());
     assert!((green / red - 47.0 / 198.0).abs() < 0.08 && (blue / red - 73.0 / 198.0).abs() < 0.08, "{owner}");
     let [red, green, blue] = [0, 1, 2].map(|k| confidence[0][k].as_f64().unwrap());

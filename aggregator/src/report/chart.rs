@@ -2,18 +2,19 @@
 
 use std::fmt::Write;
 
-use super::svg::agent_color;
 use cosurf_contract::counted;
+
+use crate::colors::device_css;
 
 const WIDTH: f32 = 1000.0;
 const HEIGHT: f32 = 360.0;
 /// Space for the labels on the left and below, SVG units.
 const GUTTER: [f32; 2] = [70.0, 40.0];
 
-/// Draws one curve of `[step, dB]` per agent; `None` if no curve has two points.
-pub(crate) fn draw(curves: &[&[[f32; 2]]]) -> Option<String> {
-    let points = || curves.iter().flat_map(|curve| curve.iter());
-    if curves.iter().all(|curve| curve.len() < 2) {
+/// Draws one curve of `[step, dB]` per device; `None` if no curve has two points.
+pub(crate) fn draw(curves: &[(&str, &[[f32; 2]])]) -> Option<String> {
+    let points = || curves.iter().flat_map(|(_, curve)| curve.iter());
+    if curves.iter().all(|(_, curve)| curve.len() < 2) {
         return None;
     }
     let steps = points().map(|point| point[0]).fold(1.0, f32::max);
@@ -33,10 +34,10 @@ pub(crate) fn draw(curves: &[&[[f32; 2]]]) -> Option<String> {
             y + 6.0
         );
     }
-    for (agent, curve) in curves.iter().enumerate() {
+    for (device, curve) in curves {
         let line: Vec<String> =
             curve.iter().map(|[step, psnr]| format!("{:.1},{:.1}", x(*step), y(*psnr))).collect();
-        let color = agent_color(agent);
+        let color = device_css(device);
         let _ = write!(
             svg,
             r#"<polyline points="{}" fill="none" stroke="{color}" stroke-width="3"/>"#,
@@ -55,13 +56,13 @@ mod tests {
 
     #[test]
     fn the_best_value_is_highest_and_the_last_step_rightmost() {
-        let svg = draw(&[&[[0.0, 10.0], [500.0, 20.0]], &[]]).unwrap_or_default();
+        let svg = draw(&[("a", &[[0.0, 10.0], [500.0, 20.0]]), ("b", &[])]).unwrap_or_default();
         assert!(svg.contains(r#"points="70.0,320.0 990.0,10.0""#), "{svg}");
     }
 
     #[test]
     fn curves_without_two_points_give_no_drawing() {
-        assert_eq!(draw(&[&[], &[[1.0, 2.0]]]), None);
+        assert_eq!(draw(&[("a", &[]), ("b", &[[1.0, 2.0]])]), None);
         assert_eq!(draw(&[]), None);
     }
 }

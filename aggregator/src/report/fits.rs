@@ -24,7 +24,8 @@ pub(super) fn section(report: &MissionReport, cells: &[Cell]) -> String {
     let mut html = String::from("<h2>How the models fit each other</h2>\n<div class=\"pair\"><section>\n");
     html.push_str(&table(&fits));
     html.push_str("</section>\n<section>");
-    html.push_str(&map::draw_fits(cells, &lines));
+    let devices: Vec<&str> = report.agents.iter().map(|agent| &*agent.device).collect();
+    html.push_str(&map::draw_fits(cells, &lines, &devices));
     html.push_str("<p class=\"soft\">Distance in pixels, as the models were merged.</p></section></div>\n");
     html
 }

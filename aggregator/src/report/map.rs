@@ -5,7 +5,8 @@ use std::fmt::Write;
 
 use glam::DVec2;
 
-use super::svg::{agent_color, escape};
+use super::svg::escape;
+use crate::colors::device_css;
 use crate::partition::{AssignedView, Cell};
 
 /// Width of the drawing in SVG units; the page scales it.
@@ -13,8 +14,9 @@ const WIDTH: f64 = 1000.0;
 /// Margin around the cells, as a share of the longer side of their bounding box. The margin is at least 1 m.
 const MARGIN: f64 = 0.15;
 
-/// Draws cells and views. Cell `i` belongs to agent `i`.
-pub(crate) fn draw(cells: &[Cell], views: &[AssignedView]) -> String {
+/// Draws cells and views. Cell `i` belongs to device `i`.
+pub(crate) fn draw(cells: &[Cell], views: &[AssignedView], devices: &[&str]) -> String {
+    let color_of = |cell: usize| device_css(devices.get(cell).copied().unwrap_or_default());
     let frame = Frame::around(cells);
     let mut svg = String::new();
     let height = frame.height();
@@ -24,32 +26,33 @@ pub(crate) fn draw(cells: &[Cell], views: &[AssignedView]) -> String {
     );
     for view in views.iter().filter(|view| !view.held_out) {
         let points = view.footprint.outline.map(|corner| frame.text(corner)).join(" ");
-        let color = agent_color(view.cell);
+        let color = color_of(view.cell);
         let _ = write!(
             svg,
             r#"<polygon points="{points}" fill="{color}" fill-opacity=".05" stroke="{color}" stroke-opacity=".15"/>"#
         );
     }
     for (i, cell) in cells.iter().enumerate() {
-        draw_cell(&mut svg, &frame, i, cell);
+        draw_cell(&mut svg, &frame, &color_of(i), cell);
     }
     for view in views {
-        draw_center(&mut svg, &frame, view);
+        draw_center(&mut svg, &frame, &color_of(view.cell), view);
     }
     draw_scale(&mut svg, &frame);
     svg.push_str("</svg>");
     svg
 }
 
-/// Draws the cells, and a line with a figure between every two agents in `fits`. Cell `i` belongs to agent `i`.
-pub(super) fn draw_fits(cells: &[Cell], fits: &[([usize; 2], f64)]) -> String {
+/// Draws the cells, and a line with a figure between every two devices in `fits`. Cell `i` belongs to device
+/// `i`.
+pub(super) fn draw_fits(cells: &[Cell], fits: &[([usize; 2], f64)], devices: &[&str]) -> String {
     let frame = Frame::around(cells);
     let height = frame.height();
     let mut svg = format!(
         r#"<svg viewBox="0 0 {WIDTH} {height:.0}" role="img" aria-label="Map of how the models fit each other">"#
     );
     for (i, cell) in cells.iter().enumerate() {
-        draw_cell(&mut svg, &frame, i, cell);
+        draw_cell(&mut svg, &frame, &device_css(devices.get(i).copied().unwrap_or_default()), cell);
     }
     let middle = |agent: usize| {
         let corners = cells.get(agent)?.outline.corners();
@@ -75,19 +78,18 @@ pub(super) fn draw_fits(cells: &[Cell], fits: &[([usize; 2], f64)]) -> String {
     svg
 }
 
-fn draw_cell(svg: &mut String, frame: &Frame, agent: usize, cell: &Cell) {
+fn draw_cell(svg: &mut String, frame: &Frame, color: &str, cell: &Cell) {
     let corners: Vec<String> = cell.outline.corners().iter().map(|corner| frame.text(*corner)).collect();
-    let (points, color) = (corners.join(" "), agent_color(agent));
+    let points = corners.join(" ");
     let _ = write!(
         svg,
         r#"<polygon points="{points}" fill="{color}" fill-opacity=".12" stroke="{color}" stroke-width="3" stroke-linejoin="round"/>"#
     );
 }
 
-fn draw_center(svg: &mut String, frame: &Frame, view: &AssignedView) {
+fn draw_center(svg: &mut String, frame: &Frame, color: &str, view: &AssignedView) {
     let at = frame.place(view.footprint.center);
-    let color = agent_color(view.cell);
-    let (fill, what) = if view.held_out { ("none", ", held out") } else { (color.as_str(), "") };
+    let (fill, what) = if view.held_out { ("none", ", held out") } else { (color, "") };
     let _ = write!(
         svg,
         r#"<circle cx="{:.1}" cy="{:.1}" r="6" fill="{fill}" stroke="{color}" stroke-width="2"><title>{}{what}</title></circle>"#,
@@ -167,19 +169,24 @@ mod tests {
             held_out,
         };
         let views = [view(10.0, 0, false), view(90.0, 1, false), view(30.0, 0, true)];
-        let svg = draw(&[cell(0.0, 50.0), cell(50.0, 100.0)], &views);
+        let svg = draw(&[cell(0.0, 50.0), cell(50.0, 100.0)], &views, &["agent-1", "agent-2"]);
         assert_eq!((svg.matches("<circle").count(), svg.matches("<polygon").count()), (3, 2 + 2));
         // The 100 m of the cells and a margin of 15 m on each side are 1000 units wide, so 1 m is 7.69 units.
         // North (y = 90) is up.
         assert!(svg.contains(r#"cx="500.0" cy="192.3""#) && svg.contains(r#"cy="807.7""#), "{svg}");
         assert!(svg.contains("&lt;10&gt;") && !svg.contains("<10>"), "names are escaped");
         assert!(svg.contains(">20 m<"), "{svg}");
+        assert_eq!(
+            svg.matches(&device_css("agent-2")).count(),
+            6,
+            "line and area of the cell, a view and its centre"
+        );
     }
 
     #[test]
     fn a_single_point_has_a_map_too() {
         let cell = Cell::new(vec![0], Outline::rectangle([DVec2::ONE; 2]));
-        let svg = draw(&[cell], &[]);
+        let svg = draw(&[cell], &[], &["agent-1"]);
         assert!(!svg.contains("NaN") && !svg.contains("inf"), "{svg}");
     }
 

@@ -9,7 +9,7 @@ use super::figures::MissionReport;
 use super::frame::group_digits;
 use super::rows::{depth_normal_text, depth_text, lpips_text, normal_text, rows};
 use super::showcase::Showcase;
-use super::svg::{agent_color, escape};
+use super::svg::{dot, escape};
 use super::texts::{merge_texts, phases_text, remarks};
 use super::{chart, fits, frame, map};
 use crate::evaluate::Quality;
@@ -80,8 +80,8 @@ fn agents(html: &mut String, report: &MissionReport) {
     for (i, row) in rows.iter().enumerate() {
         html.push_str("<tr>");
         for (column, cell) in row.iter().enumerate() {
-            let is_agent = column == 0 && i < report.agents.len();
-            let dot = if is_agent { dot(i) } else { String::new() };
+            let agent = report.agents.get(i).filter(|_| column == 0);
+            let dot = agent.map_or_else(String::new, |agent| dot(&agent.device));
             let _ = write!(html, "<td>{dot}{}</td>", escape(cell));
         }
         html.push_str("</tr>\n");
@@ -116,10 +116,6 @@ fn explanation(html: &mut String, quality: Option<&Quality>) {
     html.push_str("</p>\n");
 }
 
-fn dot(agent: usize) -> String {
-    format!("<span class=\"dot\" style=\"background:{}\"></span>", agent_color(agent))
-}
-
 fn pictures(html: &mut String, showcases: &[Showcase]) {
     if showcases.is_empty() {
         return;
@@ -151,13 +147,15 @@ fn figures(quality: &Quality) -> String {
 
 fn ground(html: &mut String, report: &MissionReport, drawings: &Drawings) {
     html.push_str("<div class=\"pair\"><section><h2>Cells and views</h2>\n");
-    html.push_str(&map::draw(drawings.cells, drawings.views));
+    let devices: Vec<&str> = report.agents.iter().map(|agent| &*agent.device).collect();
+    html.push_str(&map::draw(drawings.cells, drawings.views, &devices));
     html.push_str("<p class=\"soft\">");
-    for (i, agent) in report.agents.iter().enumerate() {
-        let _ = write!(html, "{}{} &ensp;", dot(i), escape(&agent.device));
+    for device in devices {
+        let _ = write!(html, "{}{} &ensp;", dot(device), escape(device));
     }
     html.push_str("Dot: footprint centre of a training view; ring: that of a held-out view.</p></section>\n");
-    let curves: Vec<&[[f32; 2]]> = report.agents.iter().map(|agent| agent.curve.points()).collect();
+    let curves = report.agents.iter().map(|agent| (&*agent.device, agent.curve.points()));
+    let curves: Vec<(&str, &[[f32; 2]])> = curves.collect();
     if let Some(svg) = chart::draw(&curves) {
         let _ = write!(
             html,

@@ -14,7 +14,7 @@ use super::embed::Captioned;
 use super::figures::MeshSummary;
 use super::fits;
 use super::frame::{self, group_digits};
-use super::svg::escape;
+use super::svg::{dot, escape};
 use super::texts::{merge_remarks, merge_text};
 use crate::merge::LocalSummary;
 use crate::service::{FitRecord, Merging};
@@ -119,7 +119,8 @@ fn models(html: &mut String, merging: &Merging) {
         };
         let _ = writeln!(
             html,
-            "<tr><td>{}</td><td>{}</td><td>{splats}</td><td>{removed}</td></tr>",
+            "<tr><td>{}{}</td><td>{}</td><td>{splats}</td><td>{removed}</td></tr>",
+            dot(&input.device),
             escape(&input.device),
             input.model
         );
@@ -154,6 +155,8 @@ mod tests {
         for part in ["a&lt;b", "12\u{202f}345", "0.250 m", "<b>7</b>", "agent-1", "data:image/jpeg;base64,"] {
             assert!(html.contains(part), "{part}");
         }
+        let dot = format!("background:{}\"></span>agent-1", crate::colors::device_css("agent-1"));
+        assert!(html.contains(&dot), "{html}");
         for outside in ["a<b", "http:", "https:", "<script", "<link", "@import", "url("] {
             assert!(!html.contains(outside), "{outside}");
         }

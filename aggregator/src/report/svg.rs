@@ -1,10 +1,10 @@
-//! Helpers that the drawings and the page share: the colours of agents, and text that is safe inside
-//! markup.
+//! What the drawings and the pages share: text that is safe inside markup, and the dot of a device.
 
-/// Colour of agent `agent`. The hues of consecutive agents are a golden angle apart, which spreads the hues
-/// almost evenly for any number of agents. The colours can be seen on white and on black.
-pub(crate) fn agent_color(agent: usize) -> String {
-    format!("hsl({:.0} 62% 48%)", (212.0 + 137.508 * agent as f64) % 360.0)
+use crate::colors::device_css;
+
+/// The dot in the colour of a device that stands before the device's name, as HTML.
+pub(super) fn dot(device: &str) -> String {
+    format!("<span class=\"dot\" style=\"background:{}\"></span>", device_css(device))
 }
 
 /// Escapes a text so that HTML and SVG show it literally, also inside quoted attributes.

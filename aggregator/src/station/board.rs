@@ -16,6 +16,7 @@ use cosurf_wire::DeviceId;
 use tokio::sync::watch;
 
 use super::state::{DeviceState, Line, Revision, State};
+use crate::colors::device_css;
 use crate::merge::MergeProgress;
 use crate::service::{DeviceStatus, KeptOut, Merging, ServiceEvent, revoked};
 
@@ -226,6 +227,7 @@ impl Device {
         let short = |v: f32| (f64::from(v) * 100.0).round() / 100.0;
         DeviceState {
             device: device.to_string(),
+            color: device_css(device.as_str()),
             heard_s_ago: self.heard_s.map(|heard_s| now_s - heard_s),
             status: self.status.clone(),
             curve: spaced.map(|point| point.map(short)).collect(),

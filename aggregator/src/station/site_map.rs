@@ -13,6 +13,7 @@ use cosurf_wire::{DeviceId, ModelId};
 use glam::{DVec2, DVec3};
 use serde::Serialize;
 
+use crate::colors::device_css;
 use crate::viewer::{ground_axes, up_of};
 
 /// Largest number of photographs of a device that the map shows.
@@ -39,6 +40,8 @@ pub(super) struct SiteMap {
 #[derive(Clone, Debug, PartialEq, Serialize)]
 struct DeviceMap {
     device: DeviceId,
+    /// Its colour, as style sheets name it.
+    color: String,
     /// Number of photographs; the map shows some of them.
     of_cameras: usize,
     /// The photographs: `x, y` of the camera, and then of the four corners of what it shows, in order around it.
@@ -97,7 +100,7 @@ impl Known {
         let heights = self.corners.map(|corner| corner.dot(axes[2]));
         let ground = heights[0].min(heights[1]) + GROUND_SHARE * (heights[0] - heights[1]).abs();
         let cameras = self.cameras.iter().map(|camera| outline(camera, axes, ground)).collect();
-        DeviceMap { device, of_cameras: self.of_cameras, cameras }
+        DeviceMap { device, color: device_css(device.as_str()), of_cameras: self.of_cameras, cameras }
     }
 }
 

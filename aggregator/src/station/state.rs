@@ -31,6 +31,8 @@ pub(super) struct State {
 pub(super) struct DeviceState {
     /// Its name.
     pub(super) device: String,
+    /// Its colour, as style sheets name it: the same in the map, in the model and in reports.
+    pub(super) color: String,
     /// Seconds since it was last heard; absent if only its models are known.
     pub(super) heard_s_ago: Option<f64>,
     /// How far it is, as it says itself; absent if it has not said so.

@@ -11,8 +11,7 @@ const [CONFIDENCE, OWNER] = [3, 4];
 const LOOKS_MAX = 128;
 /** Fewest photographs of each class of confidence, with its colour: viridis, which is legible to the colour-blind. */
 const CLASSES = [[0, [68, 1, 84]], [2, [59, 82, 139]], [4, [33, 145, 140]], [8, [94, 201, 98]], [16, [253, 231, 37]]];
-/** The owner of a splat that is on no photograph of a known device. */
-const NOBODY = 255;
+/** The colour of a splat that is on no photograph of a known device. */
 const NOBODY_COLOR = [96, 96, 96];
 /** Devices that the legend names. */
 const NAMES_MAX = 24;
@@ -24,23 +23,13 @@ function looksOf({ cameras, of_cameras: all }) {
   return { looks, each: all / count };
 }
 
-/** The colour of a device by its place in the scene's list; the hues are those of aggregator/src/report/svg.rs. */
-function deviceColor(index) {
-  const hue = (212 + 137.508 * index) % 360;
-  const channel = (n) => {
-    const k = (n + hue / 30) % 12;
-    return Math.round(255 * (0.48 - 0.2976 * Math.max(-1, Math.min(k - 3, 9 - k, 1))));
-  };
-  return [channel(0), channel(8), channel(4)];
-}
-
 const classOf = (count) => CLASSES.findLast(([least]) => count >= least);
 
 /** A texel for each splat: red, green, blue. `marks` are those of Sorter.marks. */
-function colorsOf(layer, { counts, owners }, each) {
+function colorsOf(layer, { counts, owners }, each, devices) {
   const texels = new Uint8Array(4 * SPLATS_PER_ROW * Math.max(1, Math.ceil(counts.length / SPLATS_PER_ROW)));
   counts.forEach((count, i) => {
-    const owner = owners[i] === NOBODY ? NOBODY_COLOR : deviceColor(owners[i]);
+    const owner = devices[owners[i]]?.color ?? NOBODY_COLOR;
     texels.set(layer === OWNER ? owner : classOf(Math.round(count * each))[1], 4 * i);
   });
   return texels;
@@ -54,7 +43,7 @@ function legendOf(layer, { devices }) {
       return [next ? `${least} to ${next - 1} photographs` : `${least} or more`, color];
     });
   }
-  const named = devices.slice(0, NAMES_MAX).map((name, i) => [name, deviceColor(i)]);
+  const named = devices.slice(0, NAMES_MAX).map(({ name, color }) => [name, color]);
   const more = devices.length - named.length;
   return [...named, [more > 0 ? `${more} more devices have colours of their own; grey: no photograph` : 'on no photograph', NOBODY_COLOR]];
 }

@@ -12,6 +12,7 @@ use serde::Serialize;
 use super::error::WalkableError;
 use super::lie::Lie;
 use super::room::{Room, encode, first_of, read};
+use crate::colors::device_color;
 
 /// Largest number of photographs whose places the viewer offers.
 const CAMERAS_MAX: usize = 500;
@@ -30,7 +31,7 @@ struct Scene {
     /// Place of the world's origin on the earth; absent if the model is not georeferenced.
     geo: Option<Geodetic>,
     /// The devices that photographs are known to be of.
-    devices: Vec<String>,
+    devices: Vec<SceneDevice>,
     /// Some of the cameras, in the model's frame.
     cameras: Vec<SceneCamera>,
     /// Number of all cameras.
@@ -41,6 +42,14 @@ struct Scene {
     first_splats: usize,
     /// Number of splats of the whole model.
     of_splats: usize,
+}
+
+/// A device whose photographs show the model.
+#[derive(Clone, Debug, PartialEq, Serialize)]
+struct SceneDevice {
+    name: String,
+    /// Its colour, as red, green and blue.
+    color: [u8; 3],
 }
 
 /// A camera as `viewer/draw.js` describes it.
@@ -178,7 +187,8 @@ impl Walkable {
         for (i, camera) in self.scene.cameras.iter_mut().enumerate() {
             camera.device = of.get(i * all / listed).copied();
         }
-        self.scene.devices = devices.into_iter().map(|(name, _)| name).collect();
+        let device = |(name, _): (String, usize)| SceneDevice { color: device_color(&name), name };
+        self.scene.devices = devices.into_iter().map(device).collect();
         self
     }
 

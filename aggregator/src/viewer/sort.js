@@ -50,9 +50,10 @@ function sorter() {
     for (let i = 0; i < count; i++) to[second[(bits[from[i]] >>> shift) & 0xffff]++] = from[i];
   }
 
-  /** For each splat the number of photographs that it is on, and the device of the one that shows it finest, or 255. */
+  /** For each splat the number of photographs that it is on, and the device of the one that shows it finest, or
+   * 65535. */
   function mark(looks) {
-    const [counts, owners] = [new Uint8Array(radii.length), new Uint8Array(radii.length).fill(255)];
+    const [counts, owners] = [new Uint8Array(radii.length), new Uint16Array(radii.length).fill(65535)];
     for (let i = 0; i < radii.length; i++) {
       const [x, y, z] = [positions[3 * i], positions[3 * i + 1], positions[3 * i + 2]];
       let finest = Infinity;
@@ -63,7 +64,7 @@ function sorter() {
         const down = (f[1] * (r[3] * x + r[4] * y + r[5] * z + t[1])) / depth + c[1];
         if (right < 0 || down < 0 || right > size[0] || down > size[1]) continue;
         counts[i]++;
-        if (depth / f[0] < finest && device !== undefined) [finest, owners[i]] = [depth / f[0], Math.min(device, 254)];
+        if (depth / f[0] < finest && device !== undefined) [finest, owners[i]] = [depth / f[0], device];
       }
     }
     self.postMessage({ counts, owners }, [counts.buffer, owners.buffer]);

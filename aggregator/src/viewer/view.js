@@ -78,7 +78,7 @@ class Viewer {
       const marks = await sorter.marks(looks);
       // Another layer or another model may have been taken meanwhile.
       if (this.layer !== layer || drawing.sorter !== sorter) return;
-      drawing.takePaint(colorsOf(layer, marks, each));
+      drawing.takePaint(colorsOf(layer, marks, each, scene.devices));
     }
     this.explain(layer);
     this.press();

@@ -3,7 +3,7 @@
 //
 // Start reading at SiteMap.show. The map is that of aggregator/src/station/site_map.rs.
 
-/* global svg, counted, colorOf, isAlive, add, dot, row, geodeticOf */
+/* global svg, counted, isAlive, add, dot, row, geodeticOf */
 /* exported SiteMap */
 
 /** Width of the drawing, and its smallest and largest height, in its own units. */
@@ -46,14 +46,12 @@ class SiteMap {
   }
 
   draw(devices) {
-    const names = [...devices.keys()].sort();
     this.image = svg('image', { width: WIDTH, height: this.height, preserveAspectRatio: 'none' });
     if (this.picture) this.image.setAttribute('href', this.picture);
     const prints = svg('g', {});
     const marks = svg('g', {});
     this.marks.clear();
-    for (const { device, cameras } of this.map.devices) {
-      const color = colorOf(Math.max(0, names.indexOf(device)));
+    for (const { device, color, cameras } of this.map.devices) {
       for (const camera of cameras) {
         const corners = [2, 4, 6, 8].map((k) => this.at(camera.slice(k, k + 2)).join(','));
         prints.append(svg('polygon', { points: corners.join(' '), fill: color, stroke: color, class: 'print' }));

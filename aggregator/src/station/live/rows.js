@@ -3,7 +3,7 @@
 //
 // Start reading at Rows.show.
 
-/* exported Rows, colorOf, element, svg, counted, seconds, isAlive */
+/* exported Rows, element, svg, counted, seconds, isAlive */
 
 const COLUMNS = ['device', 'phase', 'step', 'PSNR', 'splats', 'memory', 'sent', 'left', 'heard', 'model', 'remarks'];
 /** Agents tell how far they are every 5 s; one that is silent for so long has missed two. */
@@ -24,8 +24,6 @@ const svg = (name, attributes) => {
 const counted = (count, noun) => `${count} ${noun}${count === 1 ? '' : 's'}`;
 const bytes = (count) => (count >= 1e6 ? `${(count / 1e6).toFixed(1)} MB` : `${Math.round(count / 1e3)} kB`);
 const seconds = (s) => (s >= 5400 ? `${Math.round(s / 3600)} h` : s >= 120 ? `${Math.round(s / 60)} min` : `${Math.round(s)} s`);
-/** The colour of a device by its place in the list; as in the reports (aggregator/src/report/svg.rs). */
-const colorOf = (index) => `hsl(${Math.round((212 + 137.508 * index) % 360)} 62% 48%)`;
 /** Seconds since a device was heard; null if it was not. */
 const heardAgo = ({ heardAt }) => (heardAt === null ? null : (Date.now() - heardAt) / 1000);
 const isAlive = (device) => device.heardAt !== null && heardAgo(device) < SILENT_S && device.status?.phase !== 'done';
@@ -65,7 +63,7 @@ class Rows {
       if (!this.rows.has(name)) this.rows.set(name, this.made(name));
       const row = this.rows.get(name);
       if (this.body.children[index] !== row.row) this.body.insertBefore(row.row, this.body.children[index] ?? null);
-      this.fill(row, devices.get(name), index);
+      this.fill(row, devices.get(name));
     });
     for (const [name, { row }] of this.rows) {
       if (devices.has(name)) continue;
@@ -83,9 +81,9 @@ class Rows {
     return { row, cells, dot };
   }
 
-  fill({ row, cells, dot }, device, index) {
+  fill({ row, cells, dot }, device) {
     const { status, curve: points, model, kept_out: keptOut, is_revoked: isRevoked } = device;
-    dot.style.background = colorOf(index);
+    dot.style.background = device.color;
     row.className = isAlive(device) ? '' : 'silent';
     this.age({ cells }, device);
     cells.model.textContent = model ?? '–';
