@@ -88,6 +88,7 @@ pub use receive::Service;
 pub use record::{FitRecord, Fitted, KeptOut, Merging, camera_counts, withdraw};
 pub(crate) use record::{file_hash, remove};
 pub use reporting::{ReportError, ReportTask, Reported, Reporter};
+pub(crate) use restore::record_of;
 pub use restore::{OldRevision, RestoreError, ask_to_release, ask_to_restore, old_revisions};
 pub use revoked::{readmit, revoke, revoked};
 pub use round::{Expected, Rounds};

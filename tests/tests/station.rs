@@ -183,6 +183,28 @@ fn revisions_are_compared(browser: &Chromium, site: &Site, program: &Running) {
     let told = browser.value("cosurf.then((viewer) => viewer.compare().then(() => viewer.told.textContent))");
     assert!(told.as_str().unwrap().contains("revision 1"), "{told}");
     assert!(browser.holds("!document.querySelector('.before').hidden"));
+    // Both revisions are of one device, in whose colour the layer of owners shows them.
+    let shares = browser.value(
+        "cosurf.then(async (viewer) => { const {scene, comparison} = viewer; \
+         const [red, green, blue] = scene.devices[0].color; \
+         const share = ({gl}) => { const [width, height] = [gl.canvas.width, gl.canvas.height]; \
+           const pixels = new Uint8Array(4 * width * height); \
+           gl.readPixels(0, 0, width, height, gl.RGBA, gl.UNSIGNED_BYTE, pixels); let [lit, its] = [0, 0]; \
+           for (let i = 0; i < pixels.length; i += 4) { const [r, g, b] = pixels.subarray(i, i + 3); \
+             if (Math.max(r, g, b) < 60) continue; lit++; \
+             const apart = [g / r - green / red, b / r - blue / red].map(Math.abs); \
+             if (Math.max(...apart) < 0.1) its++; } \
+           return its / lit; }; \
+         const camera = viewer.walk.camera([300, 200]); const result = []; \
+         for (const layer of [0, 4]) { viewer.section.querySelector('[data-value=\"4\"]').hidden = false; \
+           await viewer.takeLayer(layer); viewer.show(camera); await comparison.show(camera, 0); \
+           await viewer.drawing.sort(camera); viewer.drawing.draw(camera, 0); \
+           result.push([viewer.drawing, comparison.drawing].map(share)); } \
+         await viewer.takeLayer(0); return result; })",
+    );
+    let [[now_0, before_0], [now_4, before_4]] =
+        [0, 1].map(|layer| [0, 1].map(|side| shares[layer][side].as_f64().unwrap()));
+    assert!(now_0 < 0.5 && before_0 < 0.5 && now_4 > 0.9 && before_4 > 0.9, "{shares}");
 }
 
 /// Acts as the page's buttons do, and finds the action in the record.

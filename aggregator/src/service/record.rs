@@ -226,6 +226,12 @@ impl Merging {
         })
     }
 
+    /// The devices whose models took part, and the number of each one's cameras, in the order of the merged model's cameras.
+    pub(crate) fn camera_counts(&self) -> Vec<(String, usize)> {
+        let counted = self.locals().filter_map(|(input, local)| Some((input.device.clone(), local?.cameras)));
+        counted.collect()
+    }
+
     /// Whether the model was kept out of the merge.
     pub(crate) fn is_kept_out(&self, input: &Input) -> bool {
         self.kept_out.iter().any(|its| its.device == input.device && its.model == input.model)
@@ -239,9 +245,7 @@ impl Merging {
 /// The devices whose models the newest revision of the service with this folder was merged from, and the number of each one's
 /// cameras, in the order of the cameras beside the global model. Empty if that is not known.
 pub fn camera_counts(folder: &Path) -> Vec<(String, usize)> {
-    let Some(merging) = Merging::read(folder) else { return Vec::new() };
-    let counted = merging.locals().filter_map(|(input, local)| Some((input.device.clone(), local?.cameras)));
-    counted.collect()
+    Merging::read(folder).map_or_else(Vec::new, |merging| merging.camera_counts())
 }
 
 /// BLAKE3 hash of a file.

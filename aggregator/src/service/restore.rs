@@ -103,6 +103,12 @@ pub fn old_revisions(folder: &Path) -> Result<Vec<OldRevision>, RestoreError> {
     Ok(numbers.iter().filter_map(can_be_restored).map(old).collect())
 }
 
+/// What a stored revision of the service with this folder was merged from; `None` if that is not known.
+pub(crate) fn record_of(folder: &Path, revision: u64) -> Option<Merging> {
+    let record = checked::read::<Merging>(&record_path(folder, revision)).ok();
+    record.filter(|record| record.revision == revision)
+}
+
 /// Asks the service with this folder to restore a revision, whether it is running or not.
 pub fn ask_to_restore(folder: &Path, revision: u64) -> Result<(), RestoreError> {
     let found = find(folder, revision).and_then(|(key, _)| {
@@ -204,8 +210,7 @@ fn check(folder: &Path, revision: u64) -> Result<Merging, RestoreError> {
         return Err(RestoreError::Newest(revision));
     }
     let is_stored = stored(folder)?.iter().any(|key| key.model.0 == revision);
-    let record = checked::read::<Merging>(&record_path(folder, revision)).ok();
-    let record = record.filter(|record| is_stored && record.revision == revision);
+    let record = record_of(folder, revision).filter(|_| is_stored);
     let record = record.ok_or(RestoreError::NotKept(revision))?;
     match any_listed(&ModelList::read_all(&folder.join(WITHDRAWN))?, &record.inputs) {
         true => Err(RestoreError::Withdrawn(revision)),

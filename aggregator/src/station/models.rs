@@ -10,7 +10,7 @@ use tokio::sync::Mutex;
 use tokio::task::spawn_blocking;
 
 use super::board::Board;
-use crate::service::{camera_counts, global_store};
+use crate::service::{camera_counts, global_store, record_of};
 use crate::viewer::{FIRST_SPLATS, Room, Walkable, WalkableError};
 
 /// What reading a model may take, and how large it may be as SPZ, bytes.
@@ -73,8 +73,12 @@ impl Models {
         if pair.before.as_ref().is_none_or(|known| known.revision != key.model.0) {
             pair.before = None;
             let folder = board.folder().to_owned();
-            pair.before =
-                read(board, key.model.0, move || Walkable::stored(&store, key, &folder, ROOM)).await;
+            pair.before = read(board, key.model.0, move || {
+                let record = record_of(&folder, key.model.0);
+                let devices = record.map_or_else(Vec::new, |record| record.camera_counts());
+                Ok(Walkable::stored(&store, key, &folder, ROOM)?.with_devices(devices))
+            })
+            .await;
         }
         pair.before.clone()
     }

@@ -2,7 +2,7 @@
 //
 // Start reading at Comparison. The revision before is at before/scene.json and before/model.spz.
 
-/* global decodeSpz, Drawing, add, dot */
+/* global decodeSpz, Drawing, paint, add, dot */
 /* exported Comparison */
 
 class Comparison {
@@ -35,6 +35,11 @@ class Comparison {
   /** Shows the revision before to the left of the border. */
   move() {
     this.canvas.style.clipPath = `inset(0 ${100 - this.slide.querySelector('input').value}% 0 0)`;
+  }
+
+  /** Colours the revision before for a layer; see `paint` of marks.js. */
+  paint(layer) {
+    return paint(this.drawing, this.scene, layer);
   }
 
   /** The same camera in the frame of the revision before: both frames lie in the world without a turn. */

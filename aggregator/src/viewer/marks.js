@@ -1,9 +1,9 @@
 // Colours splats by what the photographs tell of them: on how many photographs each is, and which device's photograph shows
 // it finest. Photographs are taken to see through everything. It knows nothing about WebGL and the page.
 //
-// Start reading at colorsOf. The worker of sort.js counts.
+// Start reading at paint. The worker of sort.js counts.
 
-/* exported looksOf, colorsOf, legendOf, CONFIDENCE, OWNER */
+/* exported paint, legendOf, CONFIDENCE, OWNER */
 
 /** The numbers of the layers that are coloured here; those before are drawn from the splats. */
 const [CONFIDENCE, OWNER] = [3, 4];
@@ -33,6 +33,24 @@ function colorsOf(layer, { counts, owners }, each, devices) {
     texels.set(layer === OWNER ? owner : classOf(Math.round(count * each))[1], 4 * i);
   });
   return texels;
+}
+
+/**
+ * Gives a drawing of a scene's splats the colours of a layer, or their own colours back. Counting may take a second. Resolves to
+ * false if the drawing has got another layer or another model meanwhile.
+ */
+async function paint(drawing, scene, layer) {
+  const { sorter } = drawing;
+  drawing.layer = layer;
+  let texels = null;
+  if (layer >= CONFIDENCE) {
+    const { looks, each } = looksOf(scene);
+    const marks = await sorter.marks(looks);
+    if (drawing.layer !== layer || drawing.sorter !== sorter) return false;
+    texels = colorsOf(layer, marks, each, scene.devices);
+  }
+  drawing.takePaint(texels);
+  return true;
 }
 
 /** What the colours of a layer mean: texts with their colours. */

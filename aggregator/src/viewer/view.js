@@ -6,7 +6,7 @@
 
 /* global decodeSpz, bytesOfBase64, Drawing, Walk, Comparison, listen, project, unproject, heightsAlong, chartOf */
 /* global describePoint, describeLine, describeArea, describeProfile */
-/* global looksOf, colorsOf, legendOf, CONFIDENCE */
+/* global paint, legendOf, CONFIDENCE */
 
 /** A frame that takes longer, ms, makes the picture of a moving camera coarser. */
 const SLOW_MS = 60;
@@ -70,16 +70,8 @@ class Viewer {
   async takeLayer(layer) {
     if (this.section.querySelector(`[data-value="${layer}"]`).hidden) return;
     this.layer = layer;
-    const { drawing, scene } = this;
-    const { sorter } = drawing;
-    if (layer < CONFIDENCE) drawing.takePaint(null);
-    else {
-      const { looks, each } = looksOf(scene);
-      const marks = await sorter.marks(looks);
-      // Another layer or another model may have been taken meanwhile.
-      if (this.layer !== layer || drawing.sorter !== sorter) return;
-      drawing.takePaint(colorsOf(layer, marks, each, scene.devices));
-    }
+    const painted = await Promise.all([paint(this.drawing, this.scene, layer), this.comparison?.paint(layer) ?? true]);
+    if (painted.includes(false)) return;
     this.explain(layer);
     this.press();
     this.changed();
@@ -187,6 +179,7 @@ class Viewer {
       if (this.comparison) return this.comparison.toggle(!this.comparison.isShown);
       this.tell('The revision before is loading …');
       this.comparison = await Comparison.load(this.section, this.scene);
+      await this.comparison.paint(this.layer);
       this.tell(`Left of the border is ${this.comparison.scene.name}, right of it the newest one.`);
     } catch (error) {
       this.tell(error.message);
