@@ -225,8 +225,23 @@ fn an_older_revision_is_restored(browser: &Chromium, site: &Site, program: &Runn
     await_page(browser, &summary("it repeats revision 1"), PATIENCE);
     site.upload("drone-1", 3, 2500);
     await_page(browser, "document.querySelector('#devices').innerText.includes('3')", PATIENCE);
+    // The list tells what each revision is, newest first. Times are of today, in the browser's words.
+    await_page(browser, "document.querySelector('#restore-revision').value === '2'", PATIENCE);
+    let listed = "[...document.querySelectorAll('#restore-revision option')].map((it) => it.textContent)";
+    let listed = browser.value(listed);
+    let year = browser.value("new Date().toLocaleString(undefined, {dateStyle: 'medium'})");
+    for (i, (number, splats)) in [(2, 2500), (1, 2000)].into_iter().enumerate() {
+        let is_it = |text: &str| {
+            text.starts_with(&format!("{number} · {}", year.as_str().unwrap()))
+                && text.ends_with(&format!(" · 1 model · {splats} splats"))
+        };
+        assert!(listed[i].as_str().is_some_and(is_it), "{number}: {listed}");
+    }
     browser.run("document.querySelector('#merge').click()");
     await_log(program, "global model, revision 4");
+    let repeats = "[...document.querySelectorAll('#restore-revision option')].some((it) => \
+                   it.textContent.startsWith('3 ·') && it.textContent.endsWith('repeats revision 1'))";
+    await_page(browser, repeats, PATIENCE);
     await_page(browser, &format!("!{}", summary("it repeats")), PATIENCE);
     let record = fs::read_to_string(site.folder.path().join("out/actions.jsonl")).unwrap();
     assert_eq!(record.matches("\"restore revision 1\",\"outcome\":\"done\"").count(), 1, "{record}");

@@ -6,6 +6,7 @@ use anyhow::Result;
 use clap::Args;
 use cosurf_aggregator::service::{OldRevision, ask_to_release, ask_to_restore, old_revisions};
 use cosurf_contract::counted;
+use time::OffsetDateTime;
 
 use super::arguments::ConfigArgs;
 
@@ -42,10 +43,16 @@ pub(crate) fn run(args: &RestoreArgs) -> Result<()> {
     if revisions.is_empty() {
         writeln!(out, "there is no older revision in {}", folder.display())?;
     }
-    for OldRevision { revision, splats, models, restored_from } in revisions {
+    for OldRevision { revision, made_s, splats, models, restored_from } in revisions {
+        let made =
+            made_s.and_then(|seconds| OffsetDateTime::from_unix_timestamp(i64::try_from(seconds).ok()?).ok());
+        let made = made.map_or_else(String::new, |time| {
+            let (date, hour, minute) = (time.date(), time.hour(), time.minute());
+            format!(", made {date} {hour:02}:{minute:02} UTC")
+        });
         let repeats = restored_from.map_or_else(String::new, |from| format!(", repeats revision {from}"));
         let (splats, models) = (counted(splats, "splat"), counted(models, "model"));
-        writeln!(out, "{revision}: {splats} of {models}{repeats}")?;
+        writeln!(out, "{revision}: {splats} of {models}{made}{repeats}")?;
     }
     Ok(())
 }

@@ -9,6 +9,7 @@
 use std::fs;
 use std::io::ErrorKind;
 use std::path::{Path, PathBuf};
+use std::time::UNIX_EPOCH;
 
 use cosurf_link::{ModelKey, ModelStore, StoreError};
 use cosurf_scene::{SceneError, atomic, files};
@@ -53,6 +54,9 @@ pub(super) enum Wish {
 pub struct OldRevision {
     /// Its number.
     pub revision: u64,
+    /// When it was made, as the date of its record's file tells: seconds since 1970; absent if the file has no date.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub made_s: Option<u64>,
     /// Number of splats.
     pub splats: usize,
     /// Number of local models that were merged.
@@ -96,11 +100,18 @@ pub fn old_revisions(folder: &Path) -> Result<Vec<OldRevision>, RestoreError> {
     let can_be_restored = |number: &u64| check(folder, *number).ok();
     let old = |record: Merging| OldRevision {
         revision: record.revision,
+        made_s: made_s(&record_path(folder, record.revision)),
         splats: record.summary.splats,
         models: record.inputs.len().saturating_sub(record.kept_out.len()),
         restored_from: record.restored_from,
     };
     Ok(numbers.iter().filter_map(can_be_restored).map(old).collect())
+}
+
+/// When a file was written, seconds since 1970.
+fn made_s(path: &Path) -> Option<u64> {
+    let modified = fs::metadata(path).and_then(|known| known.modified()).ok()?;
+    Some(modified.duration_since(UNIX_EPOCH).ok()?.as_secs())
 }
 
 /// What a stored revision of the service with this folder was merged from; `None` if that is not known.

@@ -87,12 +87,19 @@ function offer(revision) {
   at('newer').textContent = `Show revision ${revision.revision}`;
 }
 
-/** Lists choices, without losing the chosen one. */
-function choose(list, names) {
+/** Lists choices, without losing the chosen one. `texts` tell what they are, if that is more than their names. */
+function choose(list, names, texts = names) {
   if (list.children.length === names.length && names.every((name, i) => list.children[i].value === name)) return;
   const chosen = list.value;
-  list.replaceChildren(...names.map((name) => element('option', name)));
+  list.replaceChildren(...names.map((name, i) => Object.assign(element('option', texts[i]), { value: name })));
   if (names.includes(chosen)) list.value = chosen;
+}
+
+/** What a revision is, in the time of the browser's place. */
+function describeRevision({ revision, made_s: made, models, splats, restored_from: from }) {
+  const when = made && new Date(1000 * made).toLocaleString(undefined, { dateStyle: 'medium', timeStyle: 'short' });
+  const parts = [revision, when, counted(models, 'model'), counted(splats, 'splat'), from && `repeats revision ${from}`];
+  return parts.filter(Boolean).join(' · ');
 }
 
 /** Lists the revisions that can be restored once there is another newest one. */
@@ -102,7 +109,8 @@ async function listRevisions(revision) {
   revisionsOf = newest;
   const answer = await fetch('/api/revisions').catch(() => null);
   if (!answer?.ok) return (revisionsOf = null);
-  choose(at('restore-revision'), (await answer.json()).map(({ revision: number }) => String(number)));
+  const old = await answer.json();
+  choose(at('restore-revision'), old.map(({ revision: number }) => String(number)), old.map(describeRevision));
   at('restore').disabled = !at('restore-revision').value;
 }
 
