@@ -18,7 +18,7 @@ use tokio::sync::watch;
 use super::state::{DeviceState, Line, Revision, State};
 use crate::colors::device_css;
 use crate::merge::MergeProgress;
-use crate::service::{DeviceStatus, KeptOut, Merging, ServiceEvent, revoked};
+use crate::service::{DeviceStatus, KeptOut, Merging, ServiceEvent, revoked, senders};
 
 /// Largest number of devices; further ones have no row.
 const DEVICES_MAX: usize = 1024;
@@ -172,6 +172,15 @@ impl Board {
     /// The devices with a stored model, by name, each with the number of its newest one.
     pub(super) fn models(&self) -> Vec<(DeviceId, u64)> {
         self.notes().devices.iter().filter_map(|(device, its)| Some((*device, its.model?))).collect()
+    }
+
+    /// Whether the site knows a device: it was heard, it is expected, or a model of it is stored.
+    pub(super) fn knows(&self, device: &DeviceId) -> bool {
+        let notes = self.notes();
+        let has_row = notes.devices.contains_key(device) || notes.expected.contains(device);
+        drop(notes);
+        // A device may have models but no row.
+        has_row || senders(self.folder()).is_ok_and(|senders| senders.contains(device))
     }
 
     /// The state of the site.

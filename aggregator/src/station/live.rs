@@ -103,8 +103,14 @@ impl Live {
         action: impl FnOnce(T) -> Option<Action>,
         usage: &'static str,
     ) -> Response {
-        let Some(body) = body_of(request).await else { return StatusCode::PAYLOAD_TOO_LARGE.into_response() };
+        let body = match body_of(request).await {
+            Ok(body) => body,
+            Err(refusal) => return refusal.into_response(),
+        };
         match serde_json::from_slice(&body).ok().and_then(action) {
+            Some(Action::Forget(device)) if !self.board.knows(&device) => {
+                (StatusCode::NOT_FOUND, format!("the site knows no device {device}\n")).into_response()
+            }
             Some(action) => self.act(action, by.0).await,
             None => (StatusCode::BAD_REQUEST, usage).into_response(),
         }
@@ -258,11 +264,19 @@ async fn revisions(State(live): State<Live>) -> Response {
     spawn_blocking(work).await.unwrap_or(StatusCode::INTERNAL_SERVER_ERROR.into_response())
 }
 
-async fn merge(State(live): State<Live>, Extension(by): Extension<Peer>) -> Response {
-    live.act(Action::Merge, by.0).await
+async fn merge(State(live): State<Live>, Extension(by): Extension<Peer>, request: Request) -> Response {
+    match body_of(request).await {
+        Ok(body) if body.is_empty() => live.act(Action::Merge, by.0).await,
+        Ok(_) => (StatusCode::BAD_REQUEST, "send no body\n").into_response(),
+        Err(refusal) => refusal.into_response(),
+    }
 }
 
-/// The body, unless it is too large or too slow.
-async fn body_of(request: Request) -> Option<Bytes> {
-    timeout(BODY_WITHIN, to_bytes(request.into_body(), BODY_BYTES_MAX)).await.ok()?.ok()
+/// The body of a request, or the answer if it is too large or comes too slowly.
+async fn body_of(request: Request) -> Result<Bytes, (StatusCode, &'static str)> {
+    let body = timeout(BODY_WITHIN, to_bytes(request.into_body(), BODY_BYTES_MAX));
+    let slow = |_| (StatusCode::REQUEST_TIMEOUT, "the body of the request came too slowly\n");
+    body.await
+        .map_err(slow)?
+        .map_err(|_| (StatusCode::PAYLOAD_TOO_LARGE, "the body of the request is too large\n"))
 }

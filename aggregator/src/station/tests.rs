@@ -76,7 +76,11 @@ fn only_the_operator_acts_and_every_action_is_logged() {
     // The answer may be lost, because the server closes the connection before it has read everything.
     assert_ne!(site.post("/api/forget", &[&bearer], &"x".repeat(100_000)), 204);
     assert_eq!(site.post("/api/merge", &[], ""), 401);
+    assert_eq!(site.post("/api/merge", &[&bearer], "{}"), 400, "no body");
+    assert_eq!(site.post("/api/merge", &[&bearer], &"x".repeat(5000)), 413);
+    assert_eq!(site.post("/api/forget", &[&bearer], body), 404, "no device of the site");
     assert!(site.done.lock().unwrap().is_empty());
+    site.board.note_status(DeviceId::new("drone-1").unwrap(), AgentStatus::new(1, "1"));
     assert_eq!(site.post("/api/forget", &[&bearer], body), 204);
     assert_eq!(site.post("/api/merge", &[&bearer], ""), 204);
     let forget = Action::Forget(DeviceId::new("drone-1").unwrap());
@@ -154,22 +158,22 @@ fn large_and_slow_requests_end_the_connection() {
     let site = Site::start("127.0.0.1:0");
     let large = format!("X: {}", "x".repeat(100_000));
     assert_ne!(status(&ask(site.address(), "GET /", &["Host: localhost", &large], "")), 200);
-    let slow_body = format!(
-        "POST /api/forget HTTP/1.1\r\nHost: localhost\r\nAuthorization: Bearer {}\r\nContent-Length: 9\r\n\r\n{{",
+    let slow_body = ["/api/forget", "/api/merge"].map(|path| format!(
+        "POST {path} HTTP/1.1\r\nHost: localhost\r\nAuthorization: Bearer {}\r\nContent-Length: 9\r\n\r\n{{",
         site.token.as_str()
-    );
+    ));
     let begun = Instant::now();
-    let slow = ["GET / HTTP/1.1\r\n", &slow_body].map(|start| {
+    let slow = ["GET / HTTP/1.1\r\n", &slow_body[0], &slow_body[1]].map(|start| {
         let mut slow = TcpStream::connect(site.address()).unwrap();
         slow.set_read_timeout(Some(Duration::from_secs(20))).unwrap();
         slow.write_all(start.as_bytes()).unwrap();
         slow
     });
-    for mut slow in slow {
+    for (mut slow, told) in slow.into_iter().zip([0, 408, 408]) {
         let mut answer = Vec::new();
         let _ = slow.read_to_end(&mut answer);
         assert!(begun.elapsed() < Duration::from_secs(15));
-        assert!(![200, 204].contains(&status(&String::from_utf8_lossy(&answer))));
+        assert_eq!(status(&String::from_utf8_lossy(&answer)), told);
     }
     assert!(site.done.lock().unwrap().is_empty());
 }
