@@ -12,6 +12,7 @@ mod judge;
 mod lpips;
 mod model;
 mod quality;
+mod splats;
 mod surface;
 
 pub(crate) use judge::{Comparison, Judge};
@@ -19,5 +20,6 @@ pub use lpips::{LpipsError, LpipsScore};
 pub use model::{EvalError, EvalOrder, EvalReport, ViewQuality, evaluate_model, table};
 pub(crate) use quality::Yardsticks;
 pub use quality::{Quality, YardstickError};
+pub(crate) use splats::splat_errors;
 pub use surface::{Spread, SurfaceQuality};
 pub(crate) use surface::{depth_errors_percent, normal_errors_deg};

@@ -37,7 +37,7 @@ use crate::broker::{Broker, Reach, local_address};
 use crate::evaluate::{Judge, Quality, Yardsticks};
 use crate::georeference::{common_georeference, write_georeference};
 use crate::merge::memory::least_bytes;
-use crate::outputs::{Relief, client, deliver, relief};
+use crate::outputs::{Relief, Truth, client, deliver, relief};
 use crate::report::{Drawings, EdgeSummary, MeshSummary, MissionReport, Showcase, page, showcases};
 use crate::service::{Merging, global_ply, write_joined};
 use crate::survey::{Accuracy, CONTOURS_M, FusedMesh, SurveyError, SurveyOrder};
@@ -126,7 +126,8 @@ pub fn fly(order: &MissionOrder, around: &Surroundings) -> Result<Flown, Mission
     report.whole.survey_failure = failure;
     report.whole.phases = phases.into_times();
     report.whole.aggregator_peak_memory_bytes = (around.peak_memory_bytes)();
-    let client = client(&order.out, order.settings.merge.memory_bytes, around.cores);
+    let truth = yardsticks.truth.as_ref().map(|surface| Truth { surface, frame: &scene.frame });
+    let client = client(&order.out, order.settings.merge.memory_bytes, around.cores, truth);
     let (cells, views, showcases) = (&plan.cells, &plan.views, &evaluation.showcases);
     write_report(&order.out, &report, &Drawings { client: &client, cells, views, showcases })?;
     Ok(Flown { report, accuracy })

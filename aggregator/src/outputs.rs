@@ -19,7 +19,7 @@ use crate::mesh::MeshError;
 use crate::report::{MeshSummary, SitePicture, SiteReport, site_page};
 use crate::service::{Merging, ReportError, ReportTask, Reported, file_hash, global_ply, remove};
 use crate::views::open_within;
-pub(crate) use client::client;
+pub(crate) use client::{Truth, client};
 pub use deliver::deliver;
 pub(crate) use relief::{Relief, relief};
 
@@ -52,7 +52,7 @@ pub fn report(task: &ReportTask) -> Result<Reported, ReportError> {
     let report =
         SiteReport { site, cameras, mesh: summary, mesh_blake3, mesh_failure, pictures_failure, merging };
     let at = |name| task.folder.join(name);
-    let client = client(&task.folder, task.memory_bytes, task.threads);
+    let client = client(&task.folder, task.memory_bytes, task.threads, None);
     atomic::write_bytes(&at("report.html"), site_page(&report, &pictures, &client).as_bytes())?;
     atomic::write_bytes(&at("report.json"), &serde_json::to_vec_pretty(&report)?)?;
     Ok(reported(&report, true))

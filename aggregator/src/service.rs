@@ -85,7 +85,7 @@ pub use event::ServiceEvent;
 pub use folder::{global_ply, senders};
 pub(crate) use folder::{global_store, write_joined};
 pub use receive::Service;
-pub use record::{FitRecord, Fitted, KeptOut, Merging, camera_counts, withdraw};
+pub use record::{Contribution, FitRecord, Fitted, KeptOut, Merging, contributions, withdraw};
 pub(crate) use record::{file_hash, remove};
 pub use reporting::{ReportError, ReportTask, Reported, Reporter};
 pub(crate) use restore::record_of;

@@ -186,6 +186,8 @@ fn revisions_are_compared(browser: &Chromium, site: &Site, program: &Running) {
     // Both revisions are of one device, in whose colour the layer of owners shows them.
     let shares = browser.value(
         "cosurf.then(async (viewer) => { const {scene, comparison} = viewer; \
+         for (const its of [scene, comparison.scene]) { const {arrived_s} = its.devices[0]; \
+           if (!(Math.abs(Date.now() / 1000 - arrived_s) < 600)) throw new Error(`it arrived at ${arrived_s}`); } \
          const [red, green, blue] = scene.devices[0].color; \
          const share = ({gl}) => { const [width, height] = [gl.canvas.width, gl.canvas.height]; \
            const pixels = new Uint8Array(4 * width * height); \

@@ -172,9 +172,11 @@ fn areas_and_profiles_are_those_of_the_ground(browser: &Chromium) {
 /// The number of photographs that each splat is on, and the device of the one that shows it finest, against the cameras; then
 /// the colours of both layers.
 fn layers_of_photographs_count_what_these_show(browser: &Chromium) {
-    let devices = "cosurf.then((viewer) => { viewer.scene.devices = ['a', 'b'].map((name, i) => ({name, color: [[20, 40, 200], [198, 47, 73]][i]})); \
+    let devices = "cosurf.then((viewer) => { viewer.scene.devices = ['a', 'b'].map((name, i) => ({name, color: [[20, 40, 200], [198, 47, 73]][i], \
+                   arrived_s: Date.now() / 1000 - [100, 200000][i]})); \
+                   viewer.scene.errors = {bounds_m: [0.01, 0.02, 0.05, 0.1, 0.2, 0.5], classes: '5'.repeat(6000)}; \
                    viewer.scene.cameras.forEach((camera, i) => { camera.device = i >> 1; }); \
-                   viewer.section.querySelector('[data-value=\"4\"]').hidden = false; \
+                   viewer.section.querySelectorAll('[data-value]').forEach((it) => { it.hidden = false; }); \
                    return viewer.drawing.sorter.marks(viewer.scene.cameras)\
                    .then(({counts, owners}) => [[...counts], [...owners]]); })";
     let marks = browser.value(devices);
@@ -207,18 +209,24 @@ fn layers_of_photographs_count_what_these_show(browser: &Chromium) {
         );
         browser.value(&middle)
     };
-    let (confidence, owner, colour) = (layer(3), layer(4), layer(0));
+    let (confidence, owner, age, error, colour) = (layer(3), layer(4), layer(5), layer(6), layer(0));
     assert!(confidence[1].as_str().unwrap().contains("16 or more"), "{confidence}");
     assert!(owner[1].as_str().unwrap().starts_with("a\nb\n") && owner[2] == "true", "{owner}");
     assert_eq!(colour[1], "", "{colour}");
     // The middle of the third picture is on all four, and the fourth, of b, is the nearest.
-    let [red, green, blue] = [0, 1, 2].map(|k| owner[0][k].as_f64().unwrap());
-    assert!((green / red - 47.0 / 198.0).abs() < 0.08 && (blue / red - 73.0 / 198.0).abs() < 0.08, "{owner}");
-    let [red, green, blue] = [0, 1, 2].map(|k| confidence[0][k].as_f64().unwrap());
-    assert!(
-        (red / green - 33.0 / 145.0).abs() < 0.08 && (blue / green - 140.0 / 145.0).abs() < 0.08,
-        "{confidence}"
-    );
+    // The pixel is darker where the splats leave some of the background.
+    let is_of = |layer: &serde_json::Value, color: [f64; 3]| {
+        let pixel = [0, 1, 2].map(|k| layer[0][k].as_f64().unwrap());
+        let [most, of] = [pixel, color].map(|rgb| rgb.into_iter().fold(0.0, f64::max));
+        assert!(pixel.iter().zip(color).all(|(v, c)| (v / most - c / of).abs() < 0.08), "{color:?}: {layer}");
+    };
+    is_of(&owner, [198.0, 47.0, 73.0]);
+    is_of(&confidence, [33.0, 145.0, 140.0]);
+    // 55 hours, and between 20 and 50 cm.
+    is_of(&age, [33.0, 145.0, 140.0]);
+    is_of(&error, [214.0, 69.0, 56.0]);
+    assert!(age[1].as_str().unwrap().contains("less than a week"), "{age}");
+    assert!(error[1].as_str().unwrap().contains("less than 50 cm"), "{error}");
 }
 
 /// The model of a mission or another folder with cameras, which the variable `VIEWER_MODEL` names.

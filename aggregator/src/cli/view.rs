@@ -7,7 +7,7 @@ use std::sync::mpsc;
 
 use anyhow::{Context, Result};
 use clap::Args;
-use cosurf_aggregator::service::camera_counts;
+use cosurf_aggregator::service::contributions;
 use cosurf_aggregator::station::{Token, serve_model};
 use cosurf_aggregator::viewer::{FIRST_SPLATS, Room, Walkable};
 use cosurf_contract::counted;
@@ -36,7 +36,7 @@ pub(crate) fn run(args: &ViewArgs) -> Result<()> {
         eprintln!("{note}");
     }
     let room = Room { first_splats: Some(FIRST_SPLATS), ..Room::UNLIMITED };
-    let devices = camera_counts(file.parent().unwrap_or(Path::new("")));
+    let devices = contributions(file.parent().unwrap_or(Path::new("")));
     let model = Walkable::read(&args.model, room)?.with_devices(devices);
     let [splats, _] = model.shown();
     let (stop, stopped) = mpsc::channel();

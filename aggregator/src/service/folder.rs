@@ -6,10 +6,11 @@ use std::fs;
 use std::io::{self, ErrorKind};
 use std::path::{Path, PathBuf};
 use std::rc::Rc;
+use std::time::UNIX_EPOCH;
 
 use cosurf_link::{Model, ModelKey, ModelStore, body_to_model};
 use cosurf_scene::{LocalFrame, SceneError, Splats, camera_list, ply};
-use cosurf_wire::{DeviceId, ModelHeader};
+use cosurf_wire::{DeviceId, ModelHeader, ModelId};
 
 use super::error::ServiceError;
 use crate::merge::concatenate;
@@ -73,6 +74,18 @@ pub(super) const MADE_FILES: [&str; 2] = ["global.ply", camera_list::FILE];
 
 /// Files that the report of a revision consists of, inside the folder of a service.
 pub(super) const REPORT_FILES: [&str; 3] = ["mesh.ply", "report.html", "report.json"];
+
+/// File of a device's model, inside the folder of a service; `None` if no device can have this name.
+pub(super) fn model_file(folder: &Path, device: &str, model: u64) -> Option<PathBuf> {
+    let device = DeviceId::new(device).ok()?;
+    Some(folder.join("models").join(format!("{device}.{}.model", ModelId(model))))
+}
+
+/// When a file was written, seconds since 1970; `None` if it is missing.
+pub(super) fn written_s(path: &Path) -> Option<u64> {
+    let modified = fs::metadata(path).and_then(|known| known.modified()).ok()?;
+    Some(modified.duration_since(UNIX_EPOCH).ok()?.as_secs())
+}
 
 /// Devices of which the service with this folder has a model, or a part of one. Reads only the names of files, so the
 /// service may be running.

@@ -11,7 +11,7 @@ use cosurf_wire::{DeviceId, ModelHeader};
 use serde::{Deserialize, Serialize};
 
 use super::checked;
-use super::folder::{MADE_FILES, REPORT_FILES};
+use super::folder::{MADE_FILES, REPORT_FILES, model_file, written_s};
 use super::inputs::Input;
 use super::model_list::ModelList;
 use crate::gate::{Admitted, Fit, Place, Similarity, Tone};
@@ -226,10 +226,13 @@ impl Merging {
         })
     }
 
-    /// The devices whose models took part, and the number of each one's cameras, in the order of the merged model's cameras.
-    pub(crate) fn camera_counts(&self) -> Vec<(String, usize)> {
-        let counted = self.locals().filter_map(|(input, local)| Some((input.device.clone(), local?.cameras)));
-        counted.collect()
+    /// The models that took part whole. `folder` is that of the service.
+    pub(crate) fn contributions(&self, folder: &Path) -> Vec<Contribution> {
+        let contribution = |(input, local): (&Input, Option<&LocalSummary>)| {
+            let arrived_s = model_file(folder, &input.device, input.model).and_then(|file| written_s(&file));
+            Some(Contribution { device: input.device.clone(), cameras: local?.cameras, arrived_s })
+        };
+        self.locals().filter_map(contribution).collect()
     }
 
     /// Whether the model was kept out of the merge.
@@ -242,10 +245,20 @@ impl Merging {
     }
 }
 
-/// The devices whose models the newest revision of the service with this folder was merged from, and the number of each one's
-/// cameras, in the order of the cameras beside the global model. Empty if that is not known.
-pub fn camera_counts(folder: &Path) -> Vec<(String, usize)> {
-    Merging::read(folder).map_or_else(Vec::new, |merging| merging.camera_counts())
+/// A device whose model took part in a merge.
+#[derive(Clone, Debug, PartialEq, Eq)]
+pub struct Contribution {
+    /// The device.
+    pub device: String,
+    /// Number of its cameras. Those of the merged model are the cameras of all its devices, in their order.
+    pub cameras: usize,
+    /// When its model arrived, as the date of the model's file tells: seconds since 1970; `None` if the file is gone.
+    pub arrived_s: Option<u64>,
+}
+
+/// What the newest revision of the service with this folder was merged from. Empty if that is not known.
+pub fn contributions(folder: &Path) -> Vec<Contribution> {
+    Merging::read(folder).map_or_else(Vec::new, |merging| merging.contributions(folder))
 }
 
 /// BLAKE3 hash of a file.

@@ -9,7 +9,6 @@
 use std::fs;
 use std::io::ErrorKind;
 use std::path::{Path, PathBuf};
-use std::time::UNIX_EPOCH;
 
 use cosurf_link::{ModelKey, ModelStore, StoreError};
 use cosurf_scene::{SceneError, atomic, files};
@@ -17,7 +16,7 @@ use serde::{Deserialize, Serialize};
 
 use super::checked;
 use super::error::ServiceError;
-use super::folder::global_store;
+use super::folder::{global_store, written_s};
 use super::model_list::{ModelList, any_listed};
 use super::record::{Merging, WITHDRAWN, remove};
 
@@ -100,18 +99,12 @@ pub fn old_revisions(folder: &Path) -> Result<Vec<OldRevision>, RestoreError> {
     let can_be_restored = |number: &u64| check(folder, *number).ok();
     let old = |record: Merging| OldRevision {
         revision: record.revision,
-        made_s: made_s(&record_path(folder, record.revision)),
+        made_s: written_s(&record_path(folder, record.revision)),
         splats: record.summary.splats,
         models: record.inputs.len().saturating_sub(record.kept_out.len()),
         restored_from: record.restored_from,
     };
     Ok(numbers.iter().filter_map(can_be_restored).map(old).collect())
-}
-
-/// When a file was written, seconds since 1970.
-fn made_s(path: &Path) -> Option<u64> {
-    let modified = fs::metadata(path).and_then(|known| known.modified()).ok()?;
-    Some(modified.duration_since(UNIX_EPOCH).ok()?.as_secs())
 }
 
 /// What a stored revision of the service with this folder was merged from; `None` if that is not known.

@@ -10,7 +10,7 @@ use tokio::sync::Mutex;
 use tokio::task::spawn_blocking;
 
 use super::board::Board;
-use crate::service::{camera_counts, global_store, record_of};
+use crate::service::{contributions, global_store, record_of};
 use crate::viewer::{FIRST_SPLATS, Room, Walkable, WalkableError};
 
 /// What reading a model may take, and how large it may be as SPZ, bytes.
@@ -58,7 +58,7 @@ impl Models {
             let folder = board.folder().to_owned();
             pair.newest = read(board, revision, move || {
                 let model = Walkable::read(&folder, ROOM)?;
-                Ok(model.with_devices(camera_counts(&folder)))
+                Ok(model.with_devices(contributions(&folder)))
             })
             .await;
         }
@@ -75,7 +75,7 @@ impl Models {
             let folder = board.folder().to_owned();
             pair.before = read(board, key.model.0, move || {
                 let record = record_of(&folder, key.model.0);
-                let devices = record.map_or_else(Vec::new, |record| record.camera_counts());
+                let devices = record.map_or_else(Vec::new, |record| record.contributions(&folder));
                 Ok(Walkable::stored(&store, key, &folder, ROOM)?.with_devices(devices))
             })
             .await;

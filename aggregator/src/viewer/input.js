@@ -78,7 +78,7 @@ function listenToKeys(canvas, viewer) {
     '+': () => walk.zoom(0.9),
     '-': () => walk.zoom(1 / 0.9),
   };
-  const buttons = { o: 'walk', m: 'measure', r: 'area', l: 'profile', c: 'compare', n: 'photograph', p: 'before', Home: 'reset', Escape: 'clear', f: 'full', 1: 'layer', 2: 'layer', 3: 'layer', 4: 'layer', 5: 'layer' };
+  const buttons = { o: 'walk', m: 'measure', r: 'area', l: 'profile', c: 'compare', n: 'photograph', p: 'before', Home: 'reset', Escape: 'clear', f: 'full', 1: 'layer', 2: 'layer', 3: 'layer', 4: 'layer', 5: 'layer', 6: 'layer', 7: 'layer' };
   canvas.addEventListener('keydown', (event) => {
     if (event.ctrlKey || event.altKey || event.metaKey) return;
     const key = event.key.length === 1 ? event.key.toLowerCase() : event.key;

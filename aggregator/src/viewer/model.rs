@@ -6,16 +6,19 @@ use std::path::{Path, PathBuf};
 use cosurf_geo::{Geodetic, Georeference};
 use cosurf_link::{ModelKey, ModelStore, body_to_model, scene_frame};
 use cosurf_scene::{Camera, Dataset, LocalFrame, Splats, evenly_spaced, ply};
-use glam::DMat3;
+use glam::{DMat3, DVec3};
 use serde::Serialize;
 
 use super::error::WalkableError;
 use super::lie::Lie;
 use super::room::{Room, encode, first_of, read};
 use crate::colors::device_color;
+use crate::service::Contribution;
 
 /// Largest number of photographs whose places the viewer offers.
 const CAMERAS_MAX: usize = 500;
+/// The upper ends of the classes of errors but the last one, metres: from a good survey's error to one that everybody sees.
+const ERROR_BOUNDS_M: [f32; 6] = [0.01, 0.02, 0.05, 0.1, 0.2, 0.5];
 
 /// What the viewer is told beside the splats; the content of `scene.json`.
 #[derive(Clone, Debug, PartialEq, Serialize)]
@@ -32,6 +35,9 @@ struct Scene {
     geo: Option<Geodetic>,
     /// The devices that photographs are known to be of.
     devices: Vec<SceneDevice>,
+    /// Absent if the true surface is not known.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    errors: Option<SceneErrors>,
     /// Some of the cameras, in the model's frame.
     cameras: Vec<SceneCamera>,
     /// Number of all cameras.
@@ -50,6 +56,18 @@ struct SceneDevice {
     name: String,
     /// Its colour, as red, green and blue.
     color: [u8; 3],
+    /// When its model arrived, seconds since 1970; absent if that is not known.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    arrived_s: Option<u64>,
+}
+
+/// How far the splats are from the true surface.
+#[derive(Clone, Debug, PartialEq, Serialize)]
+struct SceneErrors {
+    /// The upper ends of all classes but the last one, metres.
+    bounds_m: [f32; 6],
+    /// The class of each splat of the file, a digit; `x` if it is not known.
+    classes: String,
 }
 
 /// A camera as `viewer/draw.js` describes it.
@@ -103,6 +121,10 @@ pub struct Walkable {
     first: Option<Vec<u8>>,
     frame: LocalFrame,
     lie: Lie,
+    /// Where the splats of the file are, in the frame.
+    means: Vec<[f32; 3]>,
+    /// Those of the scene.
+    cameras: Vec<Camera>,
 }
 
 impl Walkable {
@@ -159,7 +181,7 @@ impl Walkable {
         let lie = Lie::of(&splats, &cameras, geo.is_some());
         let first = room.first_splats.and_then(|most| first_of(&splats, most));
         let first = first.map(|splats| encode(splats, None, &path)).transpose()?;
-        let (first, first_splats) = first.map_or((None, 0), |(spz, splats)| (Some(spz), splats));
+        let (first, first_splats) = first.map_or((None, 0), |(spz, splats)| (Some(spz), splats.len()));
         let (spz, splats) = encode(splats, room.file_bytes, &path)?;
         let scene = Scene {
             name,
@@ -168,27 +190,47 @@ impl Walkable {
             up: lie.up.to_array(),
             geo,
             devices: Vec::new(),
+            errors: None,
             cameras: cameras.iter().map(SceneCamera::of).collect(),
             of_cameras: world_cameras.len(),
-            splats,
+            splats: splats.len(),
             first_splats,
             of_splats,
         };
-        Ok(Self { scene, spz, first, frame, lie })
+        Ok(Self { scene, spz, first, frame, lie, means: splats.means, cameras })
     }
 
-    /// Names the devices that took the photographs: for each device, in the order of the cameras beside the model, how many of
-    /// them are its own. Cameras beyond these are of no known device.
-    pub fn with_devices(mut self, devices: Vec<(String, usize)>) -> Self {
-        let of: Vec<usize> =
-            devices.iter().enumerate().flat_map(|(i, (_, count))| std::iter::repeat_n(i, *count)).collect();
+    /// Names the devices that took the photographs. Cameras beside the model beyond theirs are of no known device.
+    pub fn with_devices(mut self, devices: Vec<Contribution>) -> Self {
+        let cameras_of = |(i, its): (usize, &Contribution)| std::iter::repeat_n(i, its.cameras);
+        let of: Vec<usize> = devices.iter().enumerate().flat_map(cameras_of).collect();
         let (listed, all) = (self.scene.cameras.len(), self.scene.of_cameras);
         // As `evenly_spaced` has chosen them.
         for (i, camera) in self.scene.cameras.iter_mut().enumerate() {
             camera.device = of.get(i * all / listed).copied();
         }
-        let device = |(name, _): (String, usize)| SceneDevice { color: device_color(&name), name };
+        let device = |Contribution { device: name, arrived_s, .. }: Contribution| SceneDevice {
+            color: device_color(&name),
+            name,
+            arrived_s,
+        };
         self.scene.devices = devices.into_iter().map(device).collect();
+        self
+    }
+
+    /// Tells how far each splat is from the true surface, metres; not a number where that is not known. `errors` gets the places
+    /// of the splats and some cameras, in the world.
+    pub(crate) fn with_errors(mut self, errors: impl FnOnce(&[DVec3], &[Camera]) -> Vec<f32>) -> Self {
+        let place = |mean: &[f32; 3]| self.frame.world_from_local(DVec3::from(mean.map(f64::from)));
+        let places: Vec<DVec3> = self.means.iter().map(place).collect();
+        let cameras: Vec<Camera> =
+            self.cameras.iter().map(|camera| self.frame.world_camera(camera)).collect();
+        let class = |error: f32| match error.is_nan() {
+            true => 'x',
+            false => char::from(b'0' + ERROR_BOUNDS_M.iter().filter(|bound| error >= **bound).count() as u8),
+        };
+        let classes = errors(&places, &cameras).into_iter().map(class).collect();
+        self.scene.errors = Some(SceneErrors { bounds_m: ERROR_BOUNDS_M, classes });
         self
     }
 
@@ -247,13 +289,11 @@ impl Walkable {
 #[cfg(test)]
 mod tests {
     #![allow(clippy::unwrap_used)]
+    use super::*;
+    use crate::testing::{above, ground};
     use cosurf_link::{FirstLayer, Offer, model_to_body};
     use cosurf_scene::{Base, camera_list, spz};
     use cosurf_wire::{DeviceId, ModelId, ModelKind};
-    use glam::DVec3;
-
-    use super::*;
-    use crate::testing::{above, ground};
 
     /// The ground with the importances of its splats falling from west to east.
     fn model() -> Splats {
@@ -297,13 +337,35 @@ mod tests {
         written(folder.path());
         let cameras: Vec<Camera> = (0..2 * CAMERAS_MAX).map(|i| above(i as f64 / 20.0)).collect();
         camera_list::write(&folder.path().join("cameras.json"), &cameras).unwrap();
-        let devices = vec![("a".to_owned(), 500), ("b".to_owned(), 300)];
+        let device =
+            |name: &str, cameras, arrived_s| Contribution { device: name.into(), cameras, arrived_s };
+        let devices = vec![device("a", 500, Some(1_700_000_000)), device("b", 300, None)];
         let walkable = Walkable::read(folder.path(), Room::UNLIMITED).unwrap().with_devices(devices);
         let of = |device: Option<usize>| {
             walkable.scene.cameras.iter().filter(|camera| camera.device == device).count()
         };
         assert_eq!([of(Some(0)), of(Some(1)), of(None)], [250, 150, 100]);
         assert_eq!((walkable.scene.devices.len(), walkable.scene.of_cameras), (2, 2 * CAMERAS_MAX));
+        let text: serde_json::Value = serde_json::from_str(&walkable.scene_json()).unwrap();
+        assert_eq!(text["devices"][0]["arrived_s"], 1_700_000_000);
+        assert!(text["devices"][1]["arrived_s"].is_null());
+    }
+
+    #[test]
+    fn errors_are_told_in_classes_of_the_splats_that_are_shown() {
+        let folder = tempfile::tempdir().unwrap();
+        let path = written(folder.path());
+        let limit = Walkable::read(&path, Room::UNLIMITED).unwrap().spz().len() / 2;
+        let small = Walkable::read(&path, Room { file_bytes: Some(limit), ..Room::UNLIMITED }).unwrap();
+        let shown = small.shown()[0];
+        let small = small.with_errors(|places, _| {
+            assert_eq!(places.len(), shown);
+            let mut errors = vec![0.03; shown];
+            errors[..4].copy_from_slice(&[0.0, 0.01, 7.0, f32::NAN]);
+            errors
+        });
+        let errors = small.scene.errors.unwrap();
+        assert_eq!((&errors.classes[..6], errors.classes.len()), ("016x22", shown));
     }
 
     #[test]

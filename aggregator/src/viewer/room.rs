@@ -73,17 +73,17 @@ fn most_important(splats: &Splats, most: usize) -> Splats {
     kept
 }
 
-/// Encodes as many splats as the limit allows, the most important ones. Returns the file and their number.
+/// Encodes as many splats as the limit allows, the most important ones. Returns the file and these splats, in its order.
 pub(super) fn encode(
     mut splats: Splats,
     file_bytes: Option<usize>,
     path: &Path,
-) -> Result<(Vec<u8>, usize), WalkableError> {
+) -> Result<(Vec<u8>, Splats), WalkableError> {
     loop {
         let bytes = spz::to_bytes(&splats).ok_or_else(|| WalkableError::TooFar { path: path.into() })?;
         let limit = file_bytes.unwrap_or(usize::MAX);
         if bytes.len() <= limit {
-            return Ok((bytes, splats.len()));
+            return Ok((bytes, splats));
         }
         let most = ((splats.len() as f64 * limit as f64 / bytes.len() as f64 * CAUTION) as usize).max(1);
         splats = most_important(&splats, most);

@@ -6,7 +6,7 @@
 
 /* global decodeSpz, bytesOfBase64, Drawing, Walk, Comparison, listen, project, unproject, heightsAlong, chartOf */
 /* global describePoint, describeLine, describeArea, describeProfile */
-/* global paint, legendOf, CONFIDENCE */
+/* global paint, legendOf, TOLD, hasLayer, CONFIDENCE */
 
 /** A frame that takes longer, ms, makes the picture of a moving camera coarser. */
 const SLOW_MS = 60;
@@ -53,8 +53,7 @@ class Viewer {
       if (target.dataset.does) this.does(target.dataset.does, Number(target.dataset.value));
     });
     section.querySelector('[data-does="photograph"]').hidden = !scene.cameras.length;
-    section.querySelector('[data-value="3"]').hidden = !scene.cameras.length;
-    section.querySelector('[data-value="4"]').hidden = scene.devices.length < 2;
+    for (const button of section.querySelectorAll('[data-value]')) button.hidden = !hasLayer(Number(button.dataset.value), scene);
     // Only the page of a running site has revisions.
     section.querySelector('[data-does="compare"]').hidden = !(Number(document.body.dataset.revision) > 1);
     new ResizeObserver(() => this.changed()).observe(this.canvas);
@@ -88,8 +87,7 @@ class Viewer {
     const legend = this.section.querySelector('.legend');
     legend.replaceChildren(...(layer < CONFIDENCE ? [] : legendOf(layer, this.scene).map(entry)));
     legend.hidden = layer < CONFIDENCE;
-    if (layer === CONFIDENCE) this.tell('On how many photographs each place is; what stands in the way is not considered.');
-    if (layer > CONFIDENCE) this.tell('The device whose photograph shows each place finest; what stands in the way is not considered.');
+    if (TOLD[layer]) this.tell(TOLD[layer]);
   }
 
   /** The camera of the page, for a canvas of its size. */
