@@ -32,13 +32,18 @@ pub(super) struct Refusals {
 #[derive(Debug)]
 struct Period {
     begun: Instant,
+    length: Duration,
     count: u64,
 }
 
 impl Refusals {
     /// `tell` gets lines for the log of the page; all lines go to the log of the program, too.
     pub(super) fn new(tell: impl Fn(&str) + Send + Sync + 'static) -> Self {
-        let period = Period { begun: Instant::now(), count: 0 };
+        Self::told_every(PERIOD, tell)
+    }
+
+    fn told_every(length: Duration, tell: impl Fn(&str) + Send + Sync + 'static) -> Self {
+        let period = Period { begun: Instant::now(), length, count: 0 };
         Self { tell: Arc::new(tell), period: Arc::new(Mutex::new(period)) }
     }
 
@@ -47,16 +52,16 @@ impl Refusals {
         // Without the query, which may hold a token.
         let path: String = uri.path().chars().take(PATH_CHARS_MAX).collect();
         let line = format!("refused {method} {path} of {by}: {why}");
-        let (lines, is_first_hidden) = {
+        let (lines, is_first_hidden, length) = {
             let mut period = self.period();
-            (period.next(Instant::now(), line), period.count == LINES + 1)
+            (period.next(Instant::now(), line), period.count == LINES + 1, period.length)
         };
         lines.iter().for_each(|line| self.write(line));
         // A flood that has stopped is counted, too.
         if is_first_hidden && let Ok(runtime) = Handle::try_current() {
             let refusals = self.clone();
             runtime.spawn(async move {
-                sleep(PERIOD).await;
+                sleep(length).await;
                 let rest = refusals.period().end(Instant::now());
                 rest.iter().for_each(|line| refusals.write(line));
             });
@@ -87,23 +92,44 @@ impl Period {
 
     /// If the period is over, begins another one. Returns the line with the number of refusals that were not told.
     fn end(&mut self, now: Instant) -> Option<String> {
-        if now.saturating_duration_since(self.begun) < PERIOD {
+        if now.saturating_duration_since(self.begun) < self.length {
             return None;
         }
         let more = self.count.saturating_sub(LINES);
-        *self = Self { begun: now, count: 0 };
+        (self.begun, self.count) = (now, 0);
         (more > 0).then(|| format!("refused {more} more requests before"))
     }
 }
 
 #[cfg(test)]
 mod tests {
+    #![allow(clippy::unwrap_used)]
+    use std::sync::mpsc;
+
+    use tokio::runtime::Builder;
+
     use super::*;
+
+    #[test]
+    fn a_flood_that_stops_is_counted() {
+        let (lines, told) = mpsc::channel();
+        let refusals = Refusals::told_every(Duration::from_millis(200), move |line| {
+            lines.send(line.to_owned()).unwrap();
+        });
+        let flood = async {
+            let (by, uri) = (IpAddr::from([10, 0, 0, 1]), "/api/merge".parse().unwrap());
+            (0..20).for_each(|_| refusals.note(by, &Method::POST, &uri, "no token"));
+            sleep(Duration::from_secs(1)).await;
+        };
+        Builder::new_current_thread().enable_all().build().unwrap().block_on(flood);
+        let told: Vec<String> = told.try_iter().collect();
+        assert_eq!((told.len(), &*told[5]), (6, "refused 15 more requests before"), "{told:?}");
+    }
 
     #[test]
     fn a_flood_gives_a_few_lines_and_their_number() {
         let begun = Instant::now();
-        let mut period = Period { begun, count: 0 };
+        let mut period = Period { begun, length: PERIOD, count: 0 };
         let told: usize = (0..10_000).map(|_| period.next(begun, "x".into()).len()).sum();
         assert_eq!(told, 5);
         let later = period.next(begun + PERIOD, "y".into());

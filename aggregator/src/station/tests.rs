@@ -211,6 +211,41 @@ fn texts_of_devices_reach_a_page_only_as_json() {
     assert!(!site.get("/live.js").contains("innerHTML"));
 }
 
+/// Names that would end a line or begin a header are no names of devices: they are neither answered with nor written anywhere.
+#[test]
+fn names_of_devices_inject_no_headers_and_no_lines() {
+    let site = Site::start("127.0.0.1:0");
+    let bearer = format!("Authorization: Bearer {}", site.token.as_str());
+    let names = [
+        r"drone\r\nSet-Cookie: a=b",
+        r"drone\nX-Injected: yes",
+        r"drone\u0000",
+        r"drone\u2028X",
+        "../../etc/passwd",
+        "drone%0d%0aX-Injected: yes",
+        &"d".repeat(65),
+    ];
+    for name in names {
+        for (path, more) in [("/api/forget", ""), ("/api/revoke", r#", "forget": true"#)] {
+            let body = format!(r#"{{"device": "{name}"{more}}}"#);
+            let headers = ["Host: localhost", &bearer];
+            let answer = ask(site.address(), &format!("POST {path}"), &headers, &body);
+            assert_eq!(status(&answer), 400, "{name}: {answer}");
+            assert!(!answer.contains("drone") && !answer.contains("passwd"), "{name}: {answer}");
+        }
+    }
+    // A path is told, but as one line of text.
+    site.post("/api/forget%0d%0aX-Injected:%20yes", &[], "");
+    assert!(site.done.lock().unwrap().is_empty() && !site.folder.path().join("actions.jsonl").exists());
+    let state = site.get("/api/state");
+    assert!(
+        state.contains("refused POST /api/forget%0d%0aX-Injected") && !state.contains("passwd"),
+        "{state}"
+    );
+    let head = state.split("\r\n\r\n").next().unwrap();
+    assert!(!head.to_lowercase().contains("x-injected"), "{head}");
+}
+
 #[test]
 fn a_reader_of_events_gets_the_state_at_once() {
     let site = Site::start("127.0.0.1:0");

@@ -93,3 +93,35 @@ fn attack_11_a_withdrawn_flight_is_not_confirmed_again() {
     pass(&network, &mut ground, &mut flyers, 5);
     assert!(flyers[1].is_told("agent-1", 4), "a later flight");
 }
+
+/// Nobody leaves ground to a device that is revoked, although it is there, and although the service starts again. Once it is let in
+/// again, its flight counts.
+#[test]
+fn the_flight_of_a_revoked_device_takes_no_ground_from_others() {
+    let folder = tempfile::tempdir().unwrap();
+    let network = MemoryNetwork::new(12, Faults::NONE);
+    let mut ground = open_keyed(&network, folder.path(), 100);
+    let mut flyers = [Flyer::new(&network, "agent-1", 50, 3), Flyer::new(&network, "agent-2", 60, 2)];
+    pass(&network, &mut ground, &mut flyers, 5);
+    assert!(flyers[1].is_told("agent-1", 3) && flyers[1].is_told("agent-2", 2));
+
+    let device = DeviceId::new("agent-1").unwrap();
+    revoke(folder.path(), &device).unwrap();
+    pass(&network, &mut ground, &mut flyers, 30);
+    assert!(!flyers[1].is_told("agent-1", 3) && flyers[1].is_told("agent-2", 2));
+    network.leave(ground.transport);
+    drop(ground.service);
+
+    let mut ground = open_keyed(&network, folder.path(), 101);
+    flyers.iter_mut().for_each(|flyer| flyer.confirmed.clear());
+    pass(&network, &mut ground, &mut flyers, 100);
+    assert!(!flyers[1].is_told("agent-1", 3), "it pledges to the new session, too");
+    assert!(flyers[1].is_told("agent-2", 2));
+
+    assert!(readmit(folder.path(), &device).unwrap());
+    let [agent_1, agent_2] = flyers;
+    network.leave(agent_1.drone.transport);
+    let mut flyers = [Flyer::new(&network, "agent-1", 120, 4), agent_2];
+    pass(&network, &mut ground, &mut flyers, 30);
+    assert!(flyers[1].is_told("agent-1", 4), "it is let in again");
+}
