@@ -1,12 +1,12 @@
-//! The programs for Windows under Wine: a mission with its page, limits on memory, locks of folders, and Ctrl-C.
+//! The programs for Windows under Wine: a mission and a service with their pages, limits on memory, locks of folders, and Ctrl-C.
 #![cfg(target_os = "linux")]
 #![allow(clippy::unwrap_used)]
 
 use std::collections::BTreeMap;
 use std::fs;
 use std::io::{Read, Write};
-use std::net::TcpStream;
-use std::process::Stdio;
+use std::net::{TcpListener, TcpStream};
+use std::process::{Child, Stdio};
 use std::thread::sleep;
 use std::time::{Duration, Instant};
 
@@ -35,6 +35,7 @@ fn programs_for_windows_work() {
     a_mission_flies_and_shows_its_page(&wine);
     agents_end_with_a_mission_that_is_killed(&wine);
     ctrl_c_ends_a_training_with_a_checkpoint(&wine);
+    a_service_shows_the_model_of_an_agent_and_ends_with_ctrl_c(&wine);
 }
 
 fn little_memory_is_refused(wine: &Wine) {
@@ -126,11 +127,66 @@ fn ctrl_c_ends_a_training_with_a_checkpoint(wine: &Wine) {
         assert!(begun.elapsed() < PATIENCE, "the training does not begin");
         sleep(LOOK_EVERY);
     }
-    // Ctrl-C, as a terminal sends it.
-    training.stdin.as_mut().unwrap().write_all(b"\x03").unwrap();
-    while training.try_wait().unwrap().is_none() {
-        assert!(begun.elapsed() < PATIENCE, "Ctrl-C does not end the training");
+    press_ctrl_c(&mut training);
+    assert!(wine.folder().join("stopped/checkpoint/state.bin").is_file());
+}
+
+/// Presses Ctrl-C, as a terminal sends it, and waits for the end of the program.
+fn press_ctrl_c(program: &mut Child) {
+    let begun = Instant::now();
+    program.stdin.as_mut().unwrap().write_all(b"\x03").unwrap();
+    while program.try_wait().unwrap().is_none() {
+        assert!(begun.elapsed() < PATIENCE, "Ctrl-C does not end the program");
         sleep(LOOK_EVERY);
     }
-    assert!(wine.folder().join("stopped/checkpoint/state.bin").is_file());
+}
+
+/// A ground station with its built-in broker and its page, and a drone that sends a model.
+fn a_service_shows_the_model_of_an_agent_and_ends_with_ctrl_c(wine: &Wine) {
+    let broker = TcpListener::bind("127.0.0.1:0").unwrap().local_addr().unwrap();
+    let write = |name: &str, text: String| fs::write(wine.folder().join(name), text).unwrap();
+    write(
+        "aggregator.toml",
+        format!(
+            "site = \"site\"\nout = \"service\"\nbind = \"{broker}\"\nquorum = 1\nquiet_s = 0\nrefine = false\n"
+        ),
+    );
+    write(
+        "agent.toml",
+        format!(
+            "device = \"drone-1\"\nsite = \"site\"\nbroker = \"mqtt://{broker}\"\ndata = \"data\"\nout = \"drone\"\n\
+             steps = 60\nwait_global = true\n"
+        ),
+    );
+    let mut service = wine.type_to(AGGREGATOR, "run --config aggregator.toml --http 127.0.0.1:0");
+    let log = || fs::read_to_string(wine.folder().join("typed.log")).unwrap_or_default();
+    let begun = Instant::now();
+    let address = loop {
+        let text = log();
+        let url = text.split_once("http://").and_then(|(_, rest)| rest.split_once('/'));
+        if let Some((address, _)) = url {
+            break address.to_owned();
+        }
+        assert!(begun.elapsed() < PATIENCE && service.try_wait().unwrap().is_none(), "no page: {text}");
+        sleep(LOOK_EVERY);
+    };
+    let mut agent = wine.command(AGENT, &["run", "--config", "agent.toml"]);
+    let agent = agent.stderr(Stdio::piped()).output().unwrap();
+    assert!(agent.status.success(), "{}", String::from_utf8_lossy(&agent.stderr));
+    assert!(wine.folder().join("drone/global.ply").is_file(), "the merged model has arrived at the drone");
+    let page = get(&address, "/").unwrap();
+    assert!(page.contains("data-revision=\"1\""), "{page}");
+    let state = get(&address, "/api/state").unwrap();
+    assert!(
+        state.contains("\"device\":\"drone-1\"") && state.contains("the model of drone-1 arrived"),
+        "{state}"
+    );
+    let scene = get(&address, "/scene.json").unwrap();
+    assert!(scene.starts_with("HTTP/1.1 200") && scene.contains("\"splats\":"), "{scene}");
+    press_ctrl_c(&mut service);
+    assert!(get(&address, "/healthz").is_none(), "the page has ended");
+    assert!(wine.processes("cosurf-aggregator.exe").is_empty());
+    // The folder is free, and whole.
+    let revisions = wine.run(AGGREGATOR, &["restore", "--config", "aggregator.toml"]);
+    assert!(revisions.status.success() && wine.folder().join("service/merged.json").is_file(), "{}", log());
 }
