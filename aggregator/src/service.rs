@@ -92,6 +92,7 @@ pub(crate) use restore::record_of;
 pub use restore::{OldRevision, RestoreError, ask_to_release, ask_to_restore, old_revisions};
 pub use revoked::{readmit, revoke, revoked};
 pub use round::{Expected, Rounds};
+pub(crate) use sent::SentTiles;
 pub use serve::{Host, ServeError, SideEvent, expected_devices, neighbours, serve};
 pub(crate) use station::Station;
 pub use statuses::DeviceStatus;

@@ -27,7 +27,7 @@ pub(crate) const SECTION: &str = include_str!("viewer/viewer.html");
 pub(crate) const GEOMETRY: [&str; 2] = [include_str!("viewer/walk.js"), include_str!("viewer/places.js")];
 
 /// The files of the viewer, in an order in which each one uses only those before it.
-const SCRIPTS: [&str; 11] = [
+const SCRIPTS: [&str; 12] = [
     include_str!("viewer/decode.js"),
     include_str!("viewer/marks.js"),
     include_str!("viewer/sort.js"),
@@ -37,6 +37,7 @@ const SCRIPTS: [&str; 11] = [
     include_str!("viewer/places.js"),
     include_str!("viewer/profile.js"),
     include_str!("viewer/compare.js"),
+    include_str!("viewer/tiles.js"),
     include_str!("viewer/input.js"),
     include_str!("viewer/view.js"),
 ];
@@ -70,7 +71,7 @@ mod tests {
             let without_svg = script.replace("http://www.w3.org/2000/svg", "");
             assert!(!without_svg.contains(part), "{part}");
         }
-        assert!(script.len() < 72 << 10, "{} bytes", script.len());
+        assert!(script.len() < 80 << 10, "{} bytes", script.len());
     }
 
     /// The shaders repeat constants of the engine. `tests/tests/viewer.rs` compares whole pictures, but runs only where

@@ -47,4 +47,5 @@ pub mod slow_line;
 pub mod stranger;
 pub mod usage;
 pub mod web_door;
+pub mod wide_ground;
 pub mod wine;

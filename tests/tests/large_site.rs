@@ -7,66 +7,24 @@ use std::net::TcpListener;
 use std::path::Path;
 use std::process::{Child, Command, Stdio};
 
-use cosurf_link::{ModelStore, Offer};
-use cosurf_scene::splats::SH_C0;
-use cosurf_scene::{Camera, LocalFrame, Pose, Splats, ply};
+use cosurf_scene::{LocalFrame, ply};
 use cosurf_tests::datasets::write_city;
 use cosurf_tests::programs::program;
 use cosurf_tests::usage::watch;
-use cosurf_wire::{DeviceId, FrameId, ModelId, ModelKind};
-use glam::{DVec2, DVec3};
+use cosurf_tests::wide_ground::write_models;
 
 /// What the agent may take, bytes.
 const AGENT_BYTES: u64 = 200 << 20;
-/// Splats of each of the other devices along each axis, and their distance, metres.
-const ACROSS: usize = 320;
-const SPACING_M: f32 = 0.3;
 /// The other devices' ground is this far apart, metres: it overlaps a little.
 const PITCH_M: f32 = 93.0;
 /// Width of the ground that the agent flies over, metres.
 const CITY_M: f32 = 40.0;
 
-/// Flat opaque ground with its corner at `west` and `south`, and cameras above it.
-fn ground(west: f32, south: f32) -> (Splats, Vec<Camera>) {
-    let mut splats = Splats::with_capacity(ACROSS * ACROSS, 1);
-    for i in 0..ACROSS * ACROSS {
-        let (x, y) = (west + SPACING_M * (i % ACROSS) as f32, south + SPACING_M * (i / ACROSS) as f32);
-        let shade = 0.5 + 0.3 * (0.7 * x).sin() * (0.5 * y).cos();
-        let mut sh = [0.01; 12];
-        for (of, value) in sh.iter_mut().zip([shade, 0.6 * shade, 1.0 - shade]) {
-            *of = (value - 0.5) / SH_C0;
-        }
-        splats.push([x, y, 0.0], [1.0, 0.0, 0.0, 0.0], [-1.7, -1.7, -5.0], 4.0, &sh);
-    }
-    let above = |x: f64, y: f64| Camera {
-        cam_from_world: Pose::look_at(DVec3::new(x, y, 20.0), DVec3::new(x, y, 0.0), DVec3::Y),
-        focal_px: DVec2::splat(90.0),
-        center_px: DVec2::new(72.0, 54.0),
-        size_px: [144, 108],
-    };
-    let places = (0..16).map(|i| {
-        let [x, y] = [i % 4, i / 4].map(|step| 12.0 + 24.0 * f64::from(step));
-        above(f64::from(west) + x, f64::from(south) + y)
-    });
-    (splats, places.collect())
-}
-
 /// Puts the models of 23 devices around the agent's ground into the folder of a service. Returns the number of splats.
 fn write_others(out: &Path) -> usize {
-    let (store, _) = ModelStore::open(&out.join("models")).unwrap();
-    let corners = (0..25).map(|i| [i % 5, i / 5]).filter(|at| *at != [2, 2]).skip(1);
-    let mut count = 0;
-    for (i, [column, row]) in corners.enumerate() {
-        let [west, south] = [column, row].map(|step| PITCH_M * (step as f32 - 2.5));
-        let (splats, cameras) = ground(west, south);
-        let device = DeviceId::new(&format!("other-{i}")).unwrap();
-        let offer = Offer::new(device, ModelId(1), ModelKind::Local, 16, &splats, &cameras);
-        let Offer { mut header, body } = offer.unwrap();
-        header.frame = FrameId::new("site").unwrap();
-        store.put(&header, &body).unwrap();
-        count += splats.len();
-    }
-    count
+    let places = (0..25).map(|i| [i % 5, i / 5]).filter(|at| *at != [2, 2]).skip(1);
+    let corners: Vec<[f32; 2]> = places.map(|at| at.map(|step| PITCH_M * (step as f32 - 2.5))).collect();
+    write_models(out, &corners)
 }
 
 /// A ground station; killed when dropped.

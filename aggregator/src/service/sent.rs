@@ -5,11 +5,13 @@ use std::collections::{BTreeSet, HashMap};
 use std::path::Path;
 
 use cosurf_link::body::body_hash;
-use cosurf_link::{Damaged, Manifest, ModelKey, ModelStore, Offer, Receiver, TileEntry};
+use cosurf_link::{Damaged, Manifest, ModelKey, ModelStore, Offer, Receiver, TileEntry, body_to_model};
+use cosurf_scene::{LocalFrame, Splats};
 use cosurf_wire::{BodyHash, DeviceId, ModelHeader, ModelId, ModelKind};
 use glam::DVec3;
 
 use super::error::ServiceError;
+use super::folder::sent_tiles;
 
 /// A folder with the newest revision of one global model.
 #[derive(Debug)]
@@ -59,6 +61,42 @@ impl TileBytes<'_> {
             Self::Here(body) => Ok(body),
             Self::In(store, key, _) => Ok(store.get(key)?.1),
         }
+    }
+}
+
+/// The tiles that devices get of the newest revision, for a reader beside the service.
+#[derive(Debug)]
+pub(crate) struct SentTiles {
+    store: ModelStore,
+    device: DeviceId,
+    manifest: Manifest,
+}
+
+impl SentTiles {
+    /// Those in the folder of a service; `None` if the newest revision is sent whole.
+    pub(crate) fn read(folder: &Path) -> Option<Self> {
+        let store = ModelStore::beside(&sent_tiles(folder));
+        let revisions = store.keys().ok()?.into_iter().filter(|key| !key.model.is_tile());
+        let header = store.header(revisions.max_by_key(|key| key.model)?).ok()?;
+        match Sent::read(&store, &header)? {
+            Form::Tiles(manifest) => Some(Self { store, device: header.device, manifest }),
+            Form::Whole => None,
+        }
+    }
+
+    /// Number of splats of each tile, and opposite corners of the box around them, in the world.
+    pub(crate) fn boxes(&self) -> impl Iterator<Item = (usize, [DVec3; 2])> {
+        self.manifest.tiles.iter().map(|tile| {
+            let corner = |at: [f32; 3]| self.manifest.origin + DVec3::from_array(at.map(f64::from));
+            (tile.splats as usize, [tile.bounds.min, tile.bounds.max].map(corner))
+        })
+    }
+
+    /// The splats of a tile in a frame; `None` if there is no such tile.
+    pub(crate) fn splats(&self, index: usize, frame: &LocalFrame) -> Result<Option<Splats>, ServiceError> {
+        let Some(tile) = self.manifest.tiles.get(index) else { return Ok(None) };
+        let (_, body) = self.store.get(ModelKey { device: self.device, model: tile.model })?;
+        Ok(Some(body_to_model(&body, frame)?.splats))
     }
 }
 

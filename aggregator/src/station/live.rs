@@ -7,7 +7,7 @@ use std::sync::{Arc, Mutex, PoisonError};
 use std::time::Duration;
 
 use axum::body::{Bytes, to_bytes};
-use axum::extract::{Request, State};
+use axum::extract::{Path, Request, State};
 use axum::http::StatusCode;
 use axum::response::sse::{Event, KeepAlive, Sse};
 use axum::response::{IntoResponse, Response};
@@ -73,6 +73,7 @@ impl Live {
             .route("/scene.json", get(async |State(live): State<Live>| scene(live.newest().await)))
             .route("/first.spz", get(async |State(live): State<Live>| first(live.newest().await)))
             .route("/model.spz", get(async |State(live): State<Live>| spz(live.newest().await)))
+            .route("/tiles/{revision}/{index}", get(tile))
             .route("/before/scene.json", get(async |State(live): State<Live>| scene(live.before().await)))
             .route("/before/model.spz", get(async |State(live): State<Live>| spz(live.before().await)));
         let routes = match self.act {
@@ -175,6 +176,14 @@ fn first(model: Option<Served>) -> Result<Response, StatusCode> {
 
 fn spz(model: Option<Served>) -> Result<Response, StatusCode> {
     model.map(|model| spz_file(model.spz)).ok_or(StatusCode::NOT_FOUND)
+}
+
+/// A tile of the newest revision.
+async fn tile(
+    State(live): State<Live>,
+    Path((revision, index)): Path<(u64, usize)>,
+) -> Result<Response, StatusCode> {
+    live.models.tile(revision, index).await.map(spz_file).ok_or(StatusCode::NOT_FOUND)
 }
 
 /// The state of the site, and then what changes of it.

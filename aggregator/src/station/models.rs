@@ -6,11 +6,12 @@ use std::sync::Arc;
 
 use axum::body::Bytes;
 use cosurf_link::{ModelKey, ModelStore};
+use cosurf_scene::{LocalFrame, spz};
 use tokio::sync::Mutex;
 use tokio::task::spawn_blocking;
 
 use super::board::Board;
-use crate::service::{contributions, global_store, record_of};
+use crate::service::{SentTiles, contributions, global_store, record_of};
 use crate::viewer::{FIRST_SPLATS, Room, Walkable, WalkableError};
 
 /// What reading a model may take, and how large it may be as SPZ, bytes.
@@ -19,8 +20,13 @@ const FILE_BYTES: usize = 28 << 20;
 const ROOM: Room = Room {
     memory_bytes: Some(READING_BYTES),
     file_bytes: Some(FILE_BYTES),
+    splats: None,
     first_splats: Some(FIRST_SPLATS),
 };
+/// A model with more splats is shown in tiles if devices get it in tiles: a page loads those near the camera, and of the whole so
+/// many splats, the most important ones.
+const UNTILED_SPLATS_MAX: usize = 1_000_000;
+const BASE_SPLATS: usize = 400_000;
 /// For states, maps, events and connections.
 const OTHER_BYTES: u64 = 8 << 20;
 /// Limit on the memory of the page of a running site, bytes: a model that is being read, the two that are shown, and the
@@ -35,6 +41,8 @@ pub(super) struct Served {
     /// Its most important splats, if it has many.
     pub(super) first: Option<Bytes>,
     pub(super) spz: Bytes,
+    /// The tiles of a large model, and the frame that they are shown in.
+    tiles: Option<Arc<(SentTiles, LocalFrame)>>,
 }
 
 /// The models of a running site. Clones share them.
@@ -56,13 +64,22 @@ impl Models {
         if pair.newest.as_ref().is_none_or(|known| known.revision != revision) {
             pair.newest = None;
             let folder = board.folder().to_owned();
-            pair.newest = read(board, revision, move || {
-                let model = Walkable::read(&folder, ROOM)?;
-                Ok(model.with_devices(contributions(&folder)))
-            })
-            .await;
+            pair.newest = read(board, revision, move || newest_of(&folder, revision)).await;
         }
         pair.newest.clone()
+    }
+
+    /// A tile of a revision as SPZ; `None` if it is not the newest one, or has no such tile.
+    pub(super) async fn tile(&self, revision: u64, index: usize) -> Option<Bytes> {
+        // Held until the tile is encoded: it takes its memory from what reading a model may take.
+        let pair = self.0.lock().await;
+        let newest = pair.newest.as_ref().filter(|known| known.revision == revision)?;
+        let tiles = newest.tiles.clone()?;
+        let encode = move || {
+            let (tiles, frame) = &*tiles;
+            spz::to_bytes(&tiles.splats(index, frame).ok()??)
+        };
+        spawn_blocking(encode).await.ok()?.map(Bytes::from)
     }
 
     /// The revision before the newest one; `None` if the service keeps none, or if it cannot be shown.
@@ -76,12 +93,26 @@ impl Models {
             pair.before = read(board, key.model.0, move || {
                 let record = record_of(&folder, key.model.0);
                 let devices = record.map_or_else(Vec::new, |record| record.contributions(&folder));
-                Ok(Walkable::stored(&store, key, &folder, ROOM)?.with_devices(devices))
+                Ok((Walkable::stored(&store, key, &folder, ROOM)?.with_devices(devices), None))
             })
             .await;
         }
         pair.before.clone()
     }
+}
+
+/// The newest revision in the folder of a service, and its tiles if it is shown in tiles.
+fn newest_of(folder: &Path, revision: u64) -> Result<(Walkable, Option<SentTiles>), WalkableError> {
+    let splats_of = |tiles: &SentTiles| tiles.boxes().map(|(splats, _)| splats).sum::<usize>();
+    let tiles = SentTiles::read(folder).filter(|tiles| splats_of(tiles) > UNTILED_SPLATS_MAX);
+    let splats = tiles.as_ref().map(|_| BASE_SPLATS);
+    let model = Walkable::read(folder, Room { splats, ..ROOM })?.with_devices(contributions(folder));
+    // Between two revisions they may be of the other one.
+    let tiles = tiles.filter(|tiles| splats_of(tiles) == model.shown()[1]);
+    Ok(match tiles {
+        Some(tiles) => (model.with_tiles(revision, tiles.boxes()), Some(tiles)),
+        None => (model, None),
+    })
 }
 
 /// The newest of the stored revisions that are older than this one.
@@ -94,12 +125,13 @@ fn key_before(store: &Path, revision: u64) -> Option<ModelKey> {
 async fn read(
     board: &Board,
     revision: u64,
-    what: impl FnOnce() -> Result<Walkable, WalkableError> + Send + 'static,
+    what: impl FnOnce() -> Result<(Walkable, Option<SentTiles>), WalkableError> + Send + 'static,
 ) -> Option<Served> {
     let model = spawn_blocking(what).await.ok()?;
-    let model = model
+    let (model, tiles) = model
         .inspect_err(|error| board.note_line(&format!("revision {revision} is not shown: {error}")))
         .ok()?;
     let (scene, first) = (Bytes::from(model.scene_json()), model.first().map(Bytes::copy_from_slice));
-    Some(Served { revision, scene, first, spz: model.into_spz().into() })
+    let tiles = tiles.map(|tiles| Arc::new((tiles, *model.frame())));
+    Some(Served { revision, scene, first, spz: model.into_spz().into(), tiles })
 }

@@ -66,10 +66,18 @@ class Drawing {
     this.takeModel(model);
   }
 
+  /** Draws this model from now on, without an empty picture in between: it is sorted for a camera first. */
+  async replaceModel(model, camera) {
+    const sorter = new Sorter(model.positions, model.radii);
+    const sorted = await sorter.sort(viewOf(camera));
+    this.takeModel(model, sorter);
+    this.takeOrder(sorted);
+  }
+
   /** Draws this model from now on. */
-  takeModel(model) {
+  takeModel(model, sorter = new Sorter(model.positions, model.radii)) {
     this.sorter?.end();
-    this.sorter = new Sorter(model.positions, model.radii);
+    this.sorter = sorter;
     this.textures.splice(0).forEach((texture) => this.gl.deleteTexture(texture));
     [this.degree, this.count, this.range, this.rows] = [model.degree, 0, [1, 2], Math.max(1, Math.ceil(model.count / SPLATS_PER_ROW))];
     this.paint = null;
@@ -118,11 +126,15 @@ class Drawing {
   async sort(camera) {
     const sorted = await this.sorter.sort(viewOf(camera));
     if (!sorted) return false;
+    this.takeOrder(sorted);
+    return true;
+  }
+
+  takeOrder({ order, range }) {
     const gl = this.gl;
     gl.bindBuffer(gl.ARRAY_BUFFER, this.order);
-    gl.bufferData(gl.ARRAY_BUFFER, sorted.order, gl.DYNAMIC_DRAW);
-    [this.count, this.range] = [sorted.order.length, sorted.range];
-    return true;
+    gl.bufferData(gl.ARRAY_BUFFER, order, gl.DYNAMIC_DRAW);
+    [this.count, this.range] = [order.length, range];
   }
 
   /** Draws a layer to the canvas, which takes the camera's size. The splats are in the order of the last sort. */

@@ -35,6 +35,9 @@ struct Scene {
     geo: Option<Geodetic>,
     /// The devices that photographs are known to be of.
     devices: Vec<SceneDevice>,
+    /// Absent if the page has the whole model, or cannot get tiles of it.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    tiles: Option<SceneTiles>,
     /// Absent if the true surface is not known.
     #[serde(skip_serializing_if = "Option::is_none")]
     errors: Option<SceneErrors>,
@@ -59,6 +62,24 @@ struct SceneDevice {
     /// When its model arrived, seconds since 1970; absent if that is not known.
     #[serde(skip_serializing_if = "Option::is_none")]
     arrived_s: Option<u64>,
+}
+
+/// The tiles of a large model, which the viewer shows in full near the camera.
+#[derive(Clone, Debug, PartialEq, Serialize)]
+struct SceneTiles {
+    /// The revision that they are of. Tile `i` is at `tiles/REVISION/i`, as SPZ.
+    revision: u64,
+    boxes: Vec<TileBox>,
+}
+
+/// Where a tile is.
+#[derive(Clone, Debug, PartialEq, Serialize)]
+struct TileBox {
+    /// Number of splats.
+    splats: usize,
+    /// Opposite corners of the box around them, in the model's frame.
+    low: [f64; 3],
+    high: [f64; 3],
 }
 
 /// How far the splats are from the true surface.
@@ -190,6 +211,7 @@ impl Walkable {
             up: lie.up.to_array(),
             geo,
             devices: Vec::new(),
+            tiles: None,
             errors: None,
             cameras: cameras.iter().map(SceneCamera::of).collect(),
             of_cameras: world_cameras.len(),
@@ -215,6 +237,21 @@ impl Walkable {
             arrived_s,
         };
         self.scene.devices = devices.into_iter().map(device).collect();
+        self
+    }
+
+    /// Tells where the tiles of this revision are: the number of splats of each, and opposite corners of the box around them, in
+    /// the world.
+    pub(crate) fn with_tiles(
+        mut self,
+        revision: u64,
+        boxes: impl Iterator<Item = (usize, [DVec3; 2])>,
+    ) -> Self {
+        let tile_box = |(splats, corners): (usize, [DVec3; 2])| {
+            let [low, high] = corners.map(|corner| self.frame.local_from_world(corner).to_array());
+            TileBox { splats, low, high }
+        };
+        self.scene.tiles = Some(SceneTiles { revision, boxes: boxes.map(tile_box).collect() });
         self
     }
 

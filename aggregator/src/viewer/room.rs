@@ -21,19 +21,24 @@ pub struct Room {
     pub memory_bytes: Option<u64>,
     /// Limit on the SPZ, bytes; `None` for no limit.
     pub file_bytes: Option<usize>,
+    /// Limit on the number of splats; `None` for no limit.
+    pub splats: Option<usize>,
     /// Number of splats of a first part, which a page shows until it has the rest; `None` for no first part.
     pub first_splats: Option<usize>,
 }
 
 impl Room {
     /// No limits.
-    pub const UNLIMITED: Self = Self { memory_bytes: None, file_bytes: None, first_splats: None };
+    pub const UNLIMITED: Self =
+        Self { memory_bytes: None, file_bytes: None, splats: None, first_splats: None };
 
-    /// Largest number of splats in memory, together with their SPZ before and after its compression, and its text in a page.
+    /// Largest number of splats: as many as fit into the memory together with their SPZ before and after its compression, and
+    /// its text in a page.
     pub(super) fn splats_max(&self, sh_degree: u32) -> usize {
         let body = spz::body_bytes(sh_degree);
         let each = Splats::bytes_per_splat(sh_degree) + body + 4 * body / 3;
-        self.memory_bytes.map_or(usize::MAX, |bytes| (bytes / each as u64) as usize)
+        let fit = self.memory_bytes.map_or(usize::MAX, |bytes| (bytes / each as u64) as usize);
+        fit.min(self.splats.unwrap_or(usize::MAX))
     }
 }
 

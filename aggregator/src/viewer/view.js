@@ -5,6 +5,7 @@
 // `Scene` of aggregator/src/viewer/model.rs.
 
 /* global decodeSpz, bytesOfBase64, Drawing, Walk, Comparison, listen, project, unproject, heightsAlong, chartOf */
+/* global Tiles, eyeOf */
 /* global describePoint, describeLine, describeArea, describeProfile */
 /* global paint, legendOf, TOLD, hasLayer, CONFIDENCE */
 
@@ -12,6 +13,9 @@
 const SLOW_MS = 60;
 /** The picture becomes fine again after the camera has rested for this long, ms. */
 const REST_MS = 200;
+
+/** Tiles are loaded once the camera has rested for this long, ms. */
+const SETTLE_MS = 150;
 
 /** What taps measure, with what the viewer says at first. */
 const MEASURES = {
@@ -65,6 +69,29 @@ class Viewer {
     this.takeLayer(this.layer);
   }
 
+  /** From now on shows the tiles near the camera in full. `base` is the model that is shown. */
+  takeTiles(base) {
+    this.tiles = new Tiles(this.scene.tiles, base);
+    this.settle();
+  }
+
+  /** Once the camera rests, loads the tiles near it, and goes on until there is nothing to load. */
+  settle() {
+    clearTimeout(this.settling);
+    if (!this.tiles || this.isLoading) return;
+    this.settling = setTimeout(async () => {
+      this.isLoading = true;
+      const model = await this.tiles.near(eyeOf(this.camera())).catch(() => null);
+      if (model) {
+        await this.drawing.replaceModel(model, this.camera());
+        await this.takeLayer(this.layer);
+      }
+      this.isLoading = false;
+      // The camera may have moved, and there may be more to load.
+      if (model) this.changed();
+    }, SETTLE_MS);
+  }
+
   /** Shows a layer. Those of the photographs are coloured first, which may take a second. */
   async takeLayer(layer) {
     if (this.section.querySelector(`[data-value="${layer}"]`).hidden) return;
@@ -99,6 +126,7 @@ class Viewer {
 
   /** Draws in the next frame, and again as soon as the splats are sorted. */
   changed() {
+    this.settle();
     if (this.isAsked) return;
     this.isAsked = true;
     requestAnimationFrame((now) => {
@@ -248,9 +276,13 @@ async function startViewer() {
     viewer.changed();
     wait.remove();
     if (rest.length) viewer.tell(`The ${scene.first_splats} most important splats; the rest is loading …`);
-    for (const file of rest) viewer.takeModel(await decodeSpz(await file()));
+    for (const file of rest) {
+      const model = await decodeSpz(await file());
+      viewer.takeModel(model);
+      if (scene.tiles) viewer.takeTiles(model);
+    }
     const isPart = scene.splats < scene.of_splats;
-    if (rest.length || isPart) viewer.tell(isPart ? `To keep this page small, it shows ${scene.splats} of ${scene.of_splats} splats, the most important ones.` : `${scene.splats} splats.`);
+    if (rest.length || isPart) viewer.tell(scene.tiles ? `${scene.splats} of ${scene.of_splats} splats, the most important ones; near the camera all of them are loaded.` : isPart ? `To keep this page small, it shows ${scene.splats} of ${scene.of_splats} splats, the most important ones.` : `${scene.splats} splats.`);
     return viewer;
   } catch (error) {
     // The first part is shown already if only the rest could not be loaded.
