@@ -96,7 +96,9 @@ fn agents_end_with_a_mission_that_is_killed(wine: &Wine) {
     let mut mission = mission.spawn().unwrap();
     let begun = Instant::now();
     let agents = || wine.processes("cosurf-agent.exe").len();
-    while agents() < 2 {
+    // A process that Wine is still creating when its parent is killed never begins, and never ends.
+    let has_begun = |agent| wine.folder().join(format!("killed/agents/agent-{agent}/session")).is_file();
+    while agents() < 2 || !(1..=2).all(has_begun) {
         assert!(begun.elapsed() < PATIENCE && mission.try_wait().unwrap().is_none(), "no agents begin");
         sleep(LOOK_EVERY);
     }
