@@ -13,6 +13,8 @@ const HEIGHTS = [400, 1200];
 const MARGIN = 0.15;
 /** The picture from above is taken from so many times its width, so that walls hardly lean. */
 const FROM_WIDTHS = 20;
+/** Characters of a name that the map shows; the table has all. */
+const NAME_MAX = 20;
 /** Steps of the cross over the width of the map. */
 const CROSS_STEPS = 50;
 
@@ -71,7 +73,7 @@ class SiteMap {
     const beat = svg('circle', { cx, cy, r: 14, fill: 'none', stroke: color, 'stroke-width': 4 });
     const heart = svg('circle', { cx, cy, r: 9, fill: color });
     const name = svg('text', { x: Number(cx) + 16, y: Number(cy) + 7 });
-    name.textContent = device;
+    name.textContent = device.length > NAME_MAX ? `${device.slice(0, NAME_MAX - 1)}…` : device;
     this.marks.set(device, { beat, heart });
     return cameras.length ? [beat, heart, name] : [];
   }
