@@ -66,10 +66,10 @@ impl Wine {
         self.command(name, arguments).output().unwrap()
     }
 
-    /// Starts a program in a terminal. What is written to its input is typed.
+    /// Starts a program in a terminal. What is written to its input is typed, and what it prints is in `typed.log` at once.
     pub fn type_to(&self, name: &str, arguments: &str) -> Child {
         let mut command = Command::new("script");
-        command.args(["-qec", &format!("{} {name}.exe {arguments}", self.loader.display()), "typed.log"]);
+        command.args(["-qefc", &format!("{} {name}.exe {arguments}", self.loader.display()), "typed.log"]);
         self.set_up(&mut command);
         command.stdin(Stdio::piped()).spawn().unwrap()
     }
