@@ -1,7 +1,10 @@
 //! State and actions of a service. The disk is authoritative: a restarted service reads models, revisions and
 //! withdrawals back from its folder.
 
-use std::collections::{BTreeMap, BTreeSet, VecDeque};
+mod restoring;
+mod sending;
+
+use std::collections::{BTreeSet, VecDeque};
 use std::path::PathBuf;
 use std::sync::Arc;
 use std::sync::mpsc::{Receiver, TryRecvError};
@@ -20,9 +23,9 @@ use super::folder::{MADE_FILES, global_ply, global_store, handed_on, sent_tiles,
 use super::inputs::{Input, Inputs};
 use super::job::{Job, JobState, Made, Outcome, TileWork};
 use super::rebroadcast::Rebroadcast;
-use super::record::{KeptOut, Merging, Verdict, file_hash, remove_global};
+use super::record::{Merging, Verdict, file_hash, remove_global};
 use super::reporting::Reporting;
-use super::restore::{self, Wish};
+use super::restore;
 use super::revoked::revoked;
 use super::round::{Expected, Round};
 use super::sent::{Revision, Sent, TileBytes};
@@ -480,101 +483,6 @@ impl Keeper {
         Ok(())
     }
 
-    /// Begins to restore the revision that the operator wishes. A running merge is stopped.
-    fn begin_to_restore(&mut self, now: Duration) -> Result<(), ServiceError> {
-        let revision = match restore::wish(&self.folder)? {
-            None => return Ok(()),
-            Some(Wish::Restore(revision)) => revision,
-            Some(Wish::Unreadable) => {
-                let reason =
-                    "the file of the wish to restore a revision is damaged and is removed; ask again";
-                self.told.push_back(ServiceEvent::SetAside { reason: reason.to_owned() });
-                return Ok(restore::end_wish(&self.folder)?);
-            }
-            Some(Wish::Release) => {
-                self.merge_at_once(now);
-                return Ok(restore::end_wish(&self.folder)?);
-            }
-        };
-        let is_running = |(job, _): &(Job, Duration)| {
-            job.restores.as_ref().is_some_and(|record| record.revision == revision)
-        };
-        if self.job.as_ref().is_some_and(is_running) {
-            return Ok(());
-        }
-        match restore::find(&self.folder, revision) {
-            Ok((key, record)) => {
-                let (stores, inputs) = (self.shelf.stores(), self.shelf.inputs());
-                let (globals, work) = (self.globals.clone(), self.work.clone());
-                self.job = None; // waits until the merge has stopped
-                let job = Job::restore(globals, key, record, stores, inputs, work, self.threads);
-                self.job = Some((job, now));
-            }
-            Err(error) => self.refuse_wish(revision, &error)?,
-        }
-        Ok(())
-    }
-
-    fn refuse_wish(&mut self, revision: u64, error: &dyn std::error::Error) -> Result<(), ServiceError> {
-        let reason = format!("{error}; {}", restore::others(&self.folder, revision));
-        self.told.push_back(ServiceEvent::NotRestored { revision, reason });
-        Ok(restore::end_wish(&self.folder)?)
-    }
-
-    /// Whether the newest revision is a restored one that stays: nobody has asked for a merge since, and no device that it
-    /// was merged from was forgotten.
-    fn is_held(&self) -> bool {
-        let Some(record) = Merging::read(&self.folder) else { return false };
-        record.restored_from.is_some()
-            && self.global.is_some_and(|global| global.model.0 == record.revision)
-            && !self.shelf.has_withdrawn(&record.inputs)
-            && !self.is_outnumbered()
-            && !self.lacks_tiles()
-            && MADE_FILES.iter().all(|name| self.folder.join(name).is_file())
-    }
-
-    /// Begins anew to restore the revision that must stay, because files of the one that repeats it are damaged or gone.
-    /// Returns whether it does. If it cannot, the models are merged.
-    fn restores_again(&mut self) -> bool {
-        let Some(revision) = restore::held(&self.folder) else { return false };
-        let wished = restore::find(&self.folder, revision)
-            .and_then(|_| Ok(restore::ask_again(&self.folder, revision)?));
-        if let Err(error) = wished {
-            let reason = error.to_string();
-            self.told.push_back(ServiceEvent::NotRestored { revision, reason });
-            self.let_go();
-            return false;
-        }
-        true
-    }
-
-    /// Ends the wait for more models, and lets the merge replace a restored revision.
-    fn merge_at_once(&mut self, now: Duration) {
-        self.let_go();
-        self.round = Some(Round::at_once(self.round.take(), now));
-    }
-
-    /// Lets the next merge replace a restored revision.
-    fn let_go(&mut self) {
-        let record = Merging::read(&self.folder).filter(|record| record.restored_from.is_some());
-        let freed = record.map_or(Ok(()), |record| {
-            let free = Merging { restored_from: None, ..record };
-            free.write(&self.folder)
-        });
-        if let Err(error) = restore::let_go(&self.folder).and(freed) {
-            let reason = format!("the restored revision stays: {error}");
-            self.told.push_back(ServiceEvent::DiskFailed { reason });
-        }
-    }
-
-    /// Tells that the newest revision is a restored one, if it is.
-    fn tell_restored(&mut self) {
-        let record = Merging::read(&self.folder);
-        if let Some((from, record)) = record.and_then(|record| Some((record.restored_from?, record))) {
-            self.told.push_back(ServiceEvent::Restored { revision: record.revision, from });
-        }
-    }
-
     /// Removes the newest global model and its tiles, because it was merged from withdrawn models. Its revision in
     /// `global/` stays, so that the next revision has a higher number.
     fn withdraw_global(&mut self, node: &mut Node) -> Result<(), ServiceError> {
@@ -690,33 +598,6 @@ impl Keeper {
         self.broadcast(node, now, offer, count, kept_out).map(Some)
     }
 
-    /// Stores a restored revision under a new number, so that devices take it, and offers it to them.
-    fn publish_restored(
-        &mut self,
-        node: &mut Node,
-        now: Duration,
-        outcome: Result<Outcome, MergeError>,
-        record: Merging,
-    ) -> Result<Option<ServiceEvent>, ServiceError> {
-        let from = record.revision;
-        let (made, verdict) = match outcome {
-            Ok(Outcome { made: Some(made), verdict }) => (made, verdict),
-            Ok(_) => return Ok(None),
-            Err(error) => return self.refuse_wish(from, &error).map(|()| None),
-        };
-        let stored = self.globals.keys()?.into_iter().find(|key| key.model.0 == from);
-        let views = stored.and_then(|key| self.globals.get(key).ok()).map_or(0, |(header, _)| header.views);
-        let Merging { inputs, settings, seconds, .. } = record;
-        let (count, kept_out) = (inputs.len(), verdict.kept_out.clone());
-        let origin = Origin { views, inputs, settings, seconds, restored_from: Some(from) };
-        let offer = self.keep(made, origin, verdict)?;
-        restore::hold(&self.folder, from)?;
-        restore::end_wish(&self.folder)?;
-        let event = self.broadcast(node, now, offer, count, kept_out)?;
-        self.tell_restored();
-        Ok(Some(event))
-    }
-
     /// Removes all but the newest [`REVISIONS_KEPT`] revisions.
     fn remove_old_revisions(&self) -> Result<(), ServiceError> {
         let mut revisions = self.globals.keys()?;
@@ -785,156 +666,5 @@ impl Keeper {
             None => self.sent.clear()?,
         }
         Ok(offer)
-    }
-
-    /// The devices that a manifest lists even if they get no tiles, so that they do not wait for a later one.
-    fn without_tiles(&self) -> BTreeMap<DeviceId, Vec<u32>> {
-        let senders = self.shelf.newest().into_iter().map(|header| header.device);
-        senders.chain(self.shelf.withdrawn_devices()).map(|device| (device, Vec::new())).collect()
-    }
-
-    /// The highest number of the service's own revisions.
-    fn own_number(&self) -> Option<ModelId> {
-        self.global.map(|global| global.model).max(self.sent.number())
-    }
-
-    /// The number of the next revision that devices get, of the service's own or from above.
-    fn next_number(&self) -> ModelId {
-        self.own_number()
-            .max(self.handed.number())
-            .max(self.used)
-            .map_or(ModelId(1), |newest| ModelId(newest.0 + 1))
-    }
-
-    /// Lets the next revision have a higher number than any that devices may have from a folder that was lost, because one of
-    /// them has refused the revision `refused`. Sessions follow the clock, and revisions do not, unless they have jumped. So
-    /// a device that refuses everything makes no more than one jump in a session. Returns whether there is one.
-    fn jump(&mut self, refused: ModelId, now: Duration) -> bool {
-        let session = ModelId(self.session);
-        let (own, handed) = (self.own_number(), self.handed.number());
-        if own.max(handed) != Some(refused) || refused >= session {
-            return false;
-        }
-        self.used = self.used.max(Some(session));
-        // The aggregator above need not offer again what it has offered.
-        let from_above = self.above.as_ref().and_then(Above::newest).filter(|_| handed > own);
-        if from_above.is_none_or(|model| self.hand_on(model, true).is_err()) {
-            self.round = Some(Round::at_once(self.round.take(), now));
-        }
-        true
-    }
-
-    /// Whether devices may have a model with a higher number than the service's own: one whose file was set aside, or one
-    /// of an aggregator above that is no longer configured.
-    fn is_outnumbered(&self) -> bool {
-        let own = self.own_number();
-        self.used > own.max(self.handed.number()) || self.above.is_none() && self.handed.number() > own
-    }
-
-    /// Whether the newest revision is too large to be sent whole, and its tiles are not there.
-    fn lacks_tiles(&self) -> bool {
-        let is_large = |header: ModelHeader| header.splats as usize > self.work.whole_splats_max;
-        self.global.is_some_and(is_large) && self.sent.newest().is_none()
-    }
-
-    /// Hands on what came from the aggregator above. Sends the service's own revision once it has waited long enough.
-    fn follow_above(&mut self, node: &mut Node, now: Duration) -> Result<(), ServiceError> {
-        let has_own = self.global.is_some() && !self.shelf.newest().is_empty();
-        let Some(above) = &mut self.above else { return Ok(()) };
-        if let Some((header, is_answer)) = above.take_news(has_own) {
-            self.hand_on(header, is_answer)?;
-        }
-        let Some(above) = &mut self.above else { return Ok(()) };
-        if above.advance(&self.shelf.stores().whole)? {
-            self.finish_handing_on(node)?;
-        } else if above.has_waited(now) {
-            self.send_own(node)?;
-        }
-        Ok(())
-    }
-
-    /// Begins to hand a model of the aggregator above on.
-    fn hand_on(&mut self, model: ModelHeader, is_answer: bool) -> Result<(), ServiceError> {
-        let others: Vec<DeviceId> = self.shelf.withdrawn_devices().collect();
-        let record = Merging::read(&self.folder);
-        let devices = self.shelf.newest();
-        let Some(above) = &mut self.above else { return Ok(()) };
-        above.begin(model, is_answer, devices, &others, record.as_ref())
-    }
-
-    fn finish_handing_on(&mut self, node: &mut Node) -> Result<(), ServiceError> {
-        let (own, next) = (self.own_number().max(self.used), self.next_number());
-        let Some(above) = &mut self.above else { return Ok(()) };
-        if above.finish(&mut self.handed, self.device, own, next)? {
-            self.rebroadcast.begin(node, &self.handed, &self.receivers())?;
-        }
-        Ok(())
-    }
-
-    /// Offers the newest revision again, as it is on the disk.
-    fn offer_again(&mut self, node: &mut Node, now: Duration) -> Result<ServiceEvent, ServiceError> {
-        let global = self.global.expect("a merged model has a revision");
-        let (header, body) = self.globals.get(ModelKey::from(global))?;
-        self.to_offer = false;
-        let record = Merging::read(&self.folder);
-        let (inputs, kept_out) =
-            record.map(|record| (record.inputs.len(), record.kept_out)).unwrap_or_default();
-        let event = self.broadcast(node, now, Offer { header, body }, inputs, kept_out)?;
-        self.tell_restored();
-        Ok(event)
-    }
-
-    /// Offers a global model to all devices, whole or in tiles. An edge offers what came from above if that is newer, or
-    /// waits for it. [`ServiceEvent::Delivered`] follows once all devices that
-    /// sent a complete model and are not given up have stored what they get. `inputs` counts the models given to the
-    /// merge, including those `kept_out`.
-    fn broadcast(
-        &mut self,
-        node: &mut Node,
-        now: Duration,
-        offer: Offer,
-        inputs: usize,
-        kept_out: Vec<KeptOut>,
-    ) -> Result<ServiceEvent, ServiceError> {
-        let header = offer.header;
-        let is_above_newer = self.handed.number() > self.own_number();
-        match &mut self.above {
-            Some(above) if is_above_newer => {
-                let model = above.newest();
-                self.rebroadcast.begin(node, &self.handed, &self.receivers())?;
-                if let Some(model) = model {
-                    self.hand_on(model, false)?;
-                }
-            }
-            above => {
-                if !above.as_mut().is_some_and(|above| above.waits(now)) {
-                    self.offer(node, offer)?;
-                }
-            }
-        }
-        Ok(ServiceEvent::Merged { header, models: inputs.saturating_sub(kept_out.len()), kept_out })
-    }
-
-    /// Offers the service's own newest revision to the devices, as it is on the disk.
-    fn send_own(&mut self, node: &mut Node) -> Result<(), ServiceError> {
-        let Some(global) = self.global else { return Ok(()) };
-        let (header, body) = self.globals.get(ModelKey::from(global))?;
-        self.offer(node, Offer { header, body })
-    }
-
-    /// Offers the service's own newest revision to the devices: in its tiles, if there are any, or whole.
-    fn offer(&mut self, node: &mut Node, whole: Offer) -> Result<(), ServiceError> {
-        let receivers = self.receivers();
-        match self.sent.newest() {
-            Some(_) => self.rebroadcast.begin(node, &self.sent, &receivers)?,
-            None => self.rebroadcast.begin_whole(node, whole, &receivers),
-        }
-        Ok(())
-    }
-
-    /// The devices that sent a complete model and are not given up.
-    fn receivers(&self) -> Vec<DeviceId> {
-        let senders = self.shelf.newest().into_iter().map(|header| header.device);
-        senders.filter(|device| !self.given_up.contains(device) && !self.revoked.contains(device)).collect()
     }
 }

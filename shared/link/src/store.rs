@@ -219,7 +219,7 @@ pub(crate) fn head_of(header: &ModelHeader) -> Vec<u8> {
     let mut buffer = [0; MAX_CONTROL_BYTES];
     // Cannot fail: a test of the wire crate checks the largest header.
     let head = Message::Header(*header).encode(&mut buffer).expect("a header fits MAX_CONTROL_BYTES");
-    [&(head.len() as u16).to_le_bytes(), &*head].concat()
+    [&(head.len() as u16).to_le_bytes(), head].concat()
 }
 
 /// Reads what [`head_of`] makes. Returns the header and the number of bytes read.
