@@ -30,6 +30,14 @@ pub fn write(
     write_json(&report_file, report)
 }
 
+/// Notes in the report of the training in `out` that the process has taken so much memory since.
+pub fn note_peak(out: &Path, peak_memory_bytes: u64) -> Result<()> {
+    let path = out.join("report.json");
+    let Ok(report) = serde_json::from_slice::<TrainReport>(&files::read(&path)?) else { return Ok(()) };
+    let peak_memory_bytes = report.peak_memory_bytes.max(peak_memory_bytes);
+    write_json(&path, &TrainReport { peak_memory_bytes, ..report })
+}
+
 /// Copies `geo.json`, which tells where on the earth a dataset lies, into the folder of its model. A model of a dataset without
 /// it has none, either.
 pub fn take_over_place(data: &Path, out: &Path) -> Result<()> {

@@ -16,7 +16,8 @@ use cosurf_engine::{
 use cosurf_scene::bytes::format_bytes;
 use cosurf_scene::cache::Source;
 use cosurf_scene::{
-    Camera, Dataset, LocalFrame, ORIGIN_MAX, PictureCache, Shrinking, SparsePoint, Splats, View, mask,
+    Camera, Dataset, LocalFrame, ORIGIN_MAX, Picture, PictureCache, Shrinking, SparsePoint, Splats, View,
+    mask,
 };
 use glam::DVec3;
 use tracing::info_span;
@@ -178,7 +179,11 @@ impl Session {
                 data.points.len()
             ));
         }
-        let (mut sizes, mut backend) = prepare(plan, &data)?;
+        let (mut sizes, mut backend) =
+            prepare(plan, &data).map_err(|error| match error.downcast::<TooLittleMemory>() {
+                Ok(error) => error.with_more_points(&data, stride).into(),
+                Err(error) => error,
+            })?;
         check_pictures(&held_out, &sizes)?;
         let mut given_up = std::mem::take(&mut sizes.budget.given_up);
         if stride > 1 {
@@ -372,6 +377,16 @@ fn check_pictures(held_out: &[View], sizes: &Sizes) -> Result<()> {
     Ok(())
 }
 
+/// Fails if a picture to train on was cut short. The first steps of a training would tell it. Decodes nothing.
+pub fn check_pictures_are_whole(plan: &TrainPlan) -> Result<()> {
+    let (dataset, _) = open_dataset(plan)?;
+    let (train, _) = split(&dataset, &plan.split)?;
+    for index in train {
+        Picture::size_of_whole(&dataset.views[index].path)?;
+    }
+    Ok(())
+}
+
 /// Reads the splats to start from, at most `splats_max`. Fails if the cameras see none of them.
 fn read_init(model: &Path, frame: &LocalFrame, cameras: &[Camera], splats_max: usize) -> Result<Splats> {
     let splats = read_visible_splats(model, frame, cameras, splats_max, SH_DEGREE)?;
@@ -448,7 +463,7 @@ impl Sizes {
 fn plan_sizes(plan: &TrainPlan, memory_bytes: u64, device: &Device, data: &Dataset) -> Result<Sizes> {
     let widest = data.views.iter().flat_map(|view| view.camera.size_px).max().unwrap_or(1);
     let wanted = plan.max_size_px.min(widest);
-    let mut short: Option<BudgetError> = None;
+    let mut least: Option<BudgetError> = None;
     for share in SIZE_STEPS {
         let long_side_px = ((f64::from(wanted) * share) as u32).max(1);
         if share < 0.25 && long_side_px < SHRUNK_PX_MIN {
@@ -464,16 +479,40 @@ fn plan_sizes(plan: &TrainPlan, memory_bytes: u64, device: &Device, data: &Datas
                 }
                 return Ok(sizes);
             }
-            Err(error) => short = Some(error),
+            Err(error) => least = Some(least.map_or(error, |least| least.or_less(error))),
         }
     }
-    match short.expect("at least one size was tried") {
-        BudgetError::TooLittleMemory { memory_bytes, least_bytes } => bail!(
-            "{} of memory are too little for this training, even with the smallest pictures; it needs at least {}MiB",
-            format_bytes(memory_bytes),
-            least_bytes.div_ceil(1 << 20)
-        ),
+    match least.expect("at least one size was tried") {
+        BudgetError::TooLittleMemory { memory_bytes, least_bytes } => {
+            Err(TooLittleMemory { memory_bytes, least_bytes }.into())
+        }
         too_large @ BudgetError::PictureTooLarge { .. } => Err(too_large.into()),
+    }
+}
+
+/// A limit on memory that is too small for a training.
+#[derive(Debug, thiserror::Error)]
+#[error(
+    "{} of memory are too little for this training, even with the smallest pictures; it needs at least {}MiB",
+    format_bytes(*memory_bytes),
+    least_bytes.div_ceil(1 << 20)
+)]
+struct TooLittleMemory {
+    memory_bytes: u64,
+    least_bytes: u64,
+}
+
+impl TooLittleMemory {
+    /// The dataset has one sparse point of `stride`, as many as the limit had room for. With a higher limit it has more, which
+    /// need memory too.
+    fn with_more_points(self, data: &Dataset, stride: usize) -> Self {
+        let Some(denser) = stride.checked_sub(1).filter(|denser| *denser > 0) else { return self };
+        let here = points_bytes(data);
+        let (rest, all) = (self.least_bytes.saturating_sub(here), here * stride as u64);
+        // At this limit, one point of `denser` had no room.
+        let share = all as f64 / denser as f64 / self.memory_bytes.max(1) as f64;
+        let with_share = if share < 1.0 { (rest as f64 / (1.0 - share)).ceil() as u64 } else { u64::MAX };
+        Self { least_bytes: with_share.min(rest + all).max(self.least_bytes), ..self }
     }
 }
 
@@ -497,16 +536,27 @@ fn plan_size(
     if exact.as_ref().is_ok_and(Sizes::is_unreduced) {
         return Ok(exact);
     }
-    let mut scaled = planned(Shrinking::WhileDecoding)?;
+    let scaled = planned(Shrinking::WhileDecoding)?;
     let splats =
         |sizes: &Result<Sizes, BudgetError>| sizes.as_ref().map_or(0, |it| it.budget.capacity.splats);
-    if splats(&scaled) <= splats(&exact) {
-        return Ok(exact);
-    }
-    if let Ok(Sizes { budget, .. }) = &mut scaled {
-        budget.given_up.push("JPEGs are shrunk while they are decoded, not exactly".to_owned());
-    }
-    Ok(scaled)
+    Ok(match (exact, scaled) {
+        (Err(exact), Err(scaled)) => Err(exact.or_less(scaled)),
+        (exact, scaled) if splats(&scaled) <= splats(&exact) => exact,
+        (_, scaled) => scaled.map(|mut sizes| {
+            sizes.budget.given_up.push("JPEGs are shrunk while they are decoded, not exactly".to_owned());
+            sizes
+        }),
+    })
+}
+
+/// Upper bound on the bytes of the sparse points.
+fn points_bytes(data: &Dataset) -> u64 {
+    let points = data.points.len() as u64;
+    let tracks: u64 = data.points.iter().map(|point| point.views.len() as u64).sum();
+    // Points and their tracks (lists of views) exist twice for a moment: for all views, and for the training views
+    // only. Later, a search tree over the points gives the splats their initial scales. The sum of all three is an
+    // upper limit.
+    2 * (64 * points + 4 * tracks) + 40 * points
 }
 
 fn wish(plan: &TrainPlan, device: &Device, data: &Dataset, sources: &[Source]) -> Result<Wish> {
@@ -514,11 +564,6 @@ fn wish(plan: &TrainPlan, device: &Device, data: &Dataset, sources: &[Source]) -
         sources.iter().map(|source| u64::from(source.size_px[0]) * u64::from(source.size_px[1])).sum();
     let size_px = [0, 1].map(|axis| sources.iter().map(|source| source.size_px[axis]).max().unwrap_or(1));
     let points = data.points.len() as u64;
-    let tracks: u64 = data.points.iter().map(|point| point.views.len() as u64).sum();
-    // Points and their tracks (lists of views) exist twice for a moment: for all views, and for the training views
-    // only. Later, a search tree over the points gives the splats their initial scales. The sum of all three is an
-    // upper limit.
-    let points_bytes = 2 * (64 * points + 4 * tracks) + 40 * points;
     let pixels_per_splat = if plan.one_of_many { PIXELS_PER_SPLAT_OF_MANY } else { PIXELS_PER_SPLAT };
     Ok(Wish {
         memory_bytes: plan.memory_bytes,
@@ -529,6 +574,6 @@ fn wish(plan: &TrainPlan, device: &Device, data: &Dataset, sources: &[Source]) -
         splats: (pixels / pixels_per_splat).max(points) as usize,
         cache_bytes_most: PictureCache::most_bytes(sources),
         cache_bytes_least: PictureCache::least_bytes(sources),
-        loading_bytes: PictureCache::scratch_bytes(sources)? + points_bytes,
+        loading_bytes: PictureCache::scratch_bytes(sources)? + points_bytes(data),
     })
 }

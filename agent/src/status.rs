@@ -41,6 +41,16 @@ impl StatusBoard {
         board.changes += 1;
     }
 
+    /// Notes why the agent ends, if it does. Returns `result`.
+    pub fn follow_result<T>(&self, result: anyhow::Result<T>) -> anyhow::Result<T> {
+        if let Err(error) = &result {
+            let mut board = self.0.lock().unwrap_or_else(PoisonError::into_inner);
+            board.status.fail(&format!("{error:#}"));
+            board.changes += 1;
+        }
+        result
+    }
+
     fn read(&self) -> (AgentStatus, u64) {
         let board = self.0.lock().unwrap_or_else(PoisonError::into_inner);
         (board.status.clone(), board.changes)

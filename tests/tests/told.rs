@@ -224,6 +224,16 @@ fn how_far_an_agent_is_can_be_seen_at_the_broker() {
         before = at;
         seen.push(serde_json::from_str::<AgentStatus>(&line).unwrap());
     }
+    let interrupt = Command::new("kill").args(["-INT", &agent.child.id().to_string()]).status();
+    assert!(interrupt.unwrap().success());
+    let end = loop {
+        let (_, line) = statuses.recv_timeout(AT_ONCE + Duration::from_secs(1)).expect("its end is told");
+        let status = serde_json::from_str::<AgentStatus>(&line).unwrap();
+        if status.phase == AgentPhase::Failed {
+            break status;
+        }
+    };
+    assert!(end.problem.as_ref().is_some_and(|problem| problem.contains("stopped at step")), "{end:?}");
     subscriber.kill().unwrap();
     subscriber.wait().unwrap();
     assert_eq!(seen[0].phase, AgentPhase::Loading, "{seen:?}");
@@ -401,6 +411,12 @@ fn preflight_tells_whether_a_flight_can_begin() {
     let (is_ready, told) = preflight(&at_broker);
     assert!(is_ready && told.contains("ready: 7 training views of 96 x 72 px, 1 held out"), "{told}");
     assert!(!folder.path().join("out/model.ply").exists(), "it has trained");
+    let pictures = folder.path().join("data/images");
+    let picture = fs::read_dir(pictures).unwrap().map(|entry| entry.unwrap().path()).max().unwrap();
+    let whole = fs::read(&picture).unwrap();
+    fs::write(&picture, &whole[..whole.len() - 20]).unwrap();
+    let (is_ready, told) = preflight(&at_broker);
+    assert!(!is_ready && told.contains("cut short"), "{told}");
     let (is_ready, told) = preflight(&format!("broker = \"mqtt://{free}\""));
     assert!(!is_ready && told.contains("refused") && told.contains("cannot be reached"), "{told}");
 }

@@ -14,11 +14,11 @@ use std::time::{Duration, Instant, SystemTime, UNIX_EPOCH};
 use anyhow::{Context, Result, ensure};
 use clap::Args;
 use cosurf_agent::arrival::Arrival;
-use cosurf_agent::ingest;
 use cosurf_agent::publish::{Publication, Sharing, global_ply, publish};
 use cosurf_agent::session::{self, Split, TrainPlan};
 use cosurf_agent::status::StatusBoard;
-use cosurf_contract::{AgentConfig, AgentEvent, ComparedWith, Share};
+use cosurf_agent::{ingest, outputs};
+use cosurf_contract::{AgentConfig, AgentEvent, ComparedWith, Share, usage};
 use cosurf_engine::{PruneSettings, SurfaceSettings, base_of};
 use cosurf_geo::Geodetic;
 use cosurf_link::{Credentials, Identity, Role, SecretKey, next_session};
@@ -85,6 +85,7 @@ pub(super) fn preflight(PreflightArgs { job: args }: &PreflightArgs) -> Result<(
     let report = train::prepare(&job.plan, &job.config.out)?;
     ensure!(reporter.is_well(), "the aggregator cannot be reached as configured; the lines above tell why");
     ensure!(is_answered, job.unanswered());
+    session::check_pictures_are_whole(&job.plan)?;
     progress.show(&AgentEvent::Ready { report });
     Ok(())
 }
@@ -151,16 +152,17 @@ impl Job {
             );
         }
         let reporter = self.connect(begun_with, board, progress)?;
-        let flight = self.flight()?;
+        // While the connection is there, everybody is told why the agent ends.
+        let flight = board.follow_result(self.flight())?;
         let reporter = self.announce(flight.as_deref(), reporter);
-        train::train(&self.plan, &self.config.out, fresh, progress)?;
+        board.follow_result(train::train(&self.plan, &self.config.out, fresh, progress))?;
         let model = LocalModel::read(&self.config.out)?;
         self.publish(&model, flight.as_deref(), (board, reporter), progress)?;
         if self.config.wait_global {
             let global = global_ply(&self.config.out);
             self.compare(&model, ComparedWith::Global, &global, progress)?;
         }
-        Ok(())
+        outputs::note_peak(&self.config.out, usage::peak_bytes())
     }
 
     /// Trains on one flight after the other, as they arrive in a folder, until it is asked to end. A flight that fails is
@@ -244,7 +246,7 @@ impl Job {
         if asks && answer.is_none() && reporter.is_connected() {
             progress.show(&AgentEvent::Retrying { reason: self.unanswered(), attempt: 1 });
         }
-        self.follow_plan(begun_with, answer, progress)?;
+        board.follow_result(self.follow_plan(begun_with, answer, progress))?;
         Ok(reporter)
     }
 

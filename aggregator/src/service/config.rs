@@ -21,6 +21,10 @@ use crate::partition::DEFAULT_MARGIN;
 
 /// Largest limit on clients, devices and uploads that a configuration may give.
 const LIMIT_MAX: usize = 16_384;
+/// The least memory for uploads, bytes.
+const UPLOAD_BYTES_MIN: u64 = 1 << 20;
+/// The least memory for merges, bytes: less does for no model.
+const MERGE_BYTES_MIN: u64 = 16 << 20;
 
 /// The content of `aggregator.toml`. Relative paths are relative to the working folder.
 #[derive(Clone, Debug, PartialEq, Deserialize)]
@@ -89,7 +93,7 @@ pub struct AggregatorConfig {
         rename = "memory",
         alias = "memory_bytes",
         default = "default_memory_bytes",
-        deserialize_with = "amount"
+        deserialize_with = "upload_memory"
     )]
     pub memory_bytes: u64,
     /// `merge_memory`: limit on the memory that a merge takes.
@@ -97,7 +101,7 @@ pub struct AggregatorConfig {
         rename = "merge_memory",
         alias = "merge_memory_bytes",
         default = "default_merge_memory_bytes",
-        deserialize_with = "amount"
+        deserialize_with = "merge_memory"
     )]
     pub merge_memory_bytes: u64,
     /// The device that computes merges: `auto`, `cpu`, `gpu` or `gpu:N`.
@@ -266,6 +270,21 @@ fn limit<'de, D: Deserializer<'de>>(deserializer: D) -> Result<usize, D::Error> 
     Err(D::Error::custom(format!("give a number from 1 to {LIMIT_MAX}; {remedy}")))
 }
 
+/// Reads the limit on the memory of uploads.
+fn upload_memory<'de, D: Deserializer<'de>>(deserializer: D) -> Result<u64, D::Error> {
+    at_least(UPLOAD_BYTES_MIN, amount(deserializer)?)
+}
+
+/// Reads the limit on the memory of a merge.
+fn merge_memory<'de, D: Deserializer<'de>>(deserializer: D) -> Result<u64, D::Error> {
+    at_least(MERGE_BYTES_MIN, amount(deserializer)?)
+}
+
+/// The amount `bytes`, unless it is below `least`.
+fn at_least<E: Error>(least: u64, bytes: u64) -> Result<u64, E> {
+    if bytes >= least { Ok(bytes) } else { Err(E::custom(format!("give at least {}", format_bytes(least)))) }
+}
+
 /// Reads the limit on the built-in broker's memory.
 fn broker_memory<'de, D: Deserializer<'de>>(deserializer: D) -> Result<usize, D::Error> {
     let bytes = usize::try_from(amount(deserializer)?).unwrap_or(usize::MAX);
@@ -331,8 +350,8 @@ mod tests {
         assert_eq!((config.plan, config.margin), (None, 0.2));
         let config = read(&format!("{REQUIRED}clients_max = 16_384")).unwrap();
         assert_eq!(config.clients_max, 16_384);
-        let config = read(&format!("{REQUIRED}merge_memory = \"2GiB\"\nmemory_bytes = 7")).unwrap();
-        assert_eq!((config.merge_memory_bytes, config.memory_bytes), (2 << 30, 7));
+        let config = read(&format!("{REQUIRED}merge_memory = \"2GiB\"\nmemory_bytes = 7000000")).unwrap();
+        assert_eq!((config.merge_memory_bytes, config.memory_bytes), (2 << 30, 7_000_000));
         let config = read(&format!("{REQUIRED}origin = \"52.5,-13.4,75\"")).unwrap();
         let origin = Geodetic { latitude_deg: 52.5, longitude_deg: -13.4, height_m: 75.0 };
         assert_eq!(config.origin, Some(origin));
@@ -350,6 +369,8 @@ mod tests {
             ("tls = { cart = \"c\" }", "line 3, tls: unknown field `cart`"),
             ("broker_memory_bytes = 1_000_000", "line 3, broker_memory_bytes: give at least 16.0 MiB"),
             ("broker_memory = \"1MB\"", "line 3, broker_memory: give at least 16.0 MiB"),
+            ("merge_memory = 0", "line 3, merge_memory: give at least 16.0 MiB"),
+            ("memory = \"1kB\"", "line 3, memory: give at least 1.00 MiB"),
             ("merge_memory = \"all\"", "line 3, merge_memory: 'all' is not an amount of memory"),
             ("compute = \"cuda\"", "line 3, compute: give auto, cpu, gpu or gpu:N"),
             (

@@ -89,8 +89,9 @@ impl Round {
                 devices.iter().all(|device| here.contains(device) || given_up.contains(device))
             }
             Expected::Anybody(rounds) => {
-                let enough = here.len() >= rounds.quorum && now >= self.last + rounds.quiet;
-                enough || now >= self.begun + rounds.deadline
+                let is_quiet = now >= self.last.saturating_add(rounds.quiet);
+                let enough = here.len() >= rounds.quorum && is_quiet;
+                enough || now >= self.begun.saturating_add(rounds.deadline)
             }
         }
     }
@@ -123,6 +124,8 @@ mod tests {
         assert!(round.is_over(&rounds, &two, &one, s(25)));
         let round = Round::extend(Some(round), s(69));
         assert!(round.is_over(&rounds, &two, &one, s(70)), "a late arrival does not move the deadline");
+        let never = Expected::Anybody(Rounds { quorum: 1, quiet: Duration::MAX, deadline: Duration::MAX });
+        assert!(!round.is_over(&never, &two, &one, s(1 << 40)), "the longest times have no end");
     }
 
     #[test]

@@ -27,6 +27,11 @@ pub enum BadStatus {
     OutOfRange(&'static str),
 }
 
+/// A problem, as short as statuses allow.
+fn short(problem: &str) -> String {
+    problem.chars().take(PROBLEM_CHARS_MAX).collect()
+}
+
 /// How far an agent is. Anybody who may write to the agent's topics may have written it.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 pub struct AgentStatus {
@@ -76,6 +81,8 @@ pub enum AgentPhase {
     Waiting,
     /// Has finished.
     Done,
+    /// Has ended before it was done. [`AgentStatus::problem`] tells why.
+    Failed,
 }
 
 impl AgentStatus {
@@ -118,10 +125,15 @@ impl AgentStatus {
         }
     }
 
+    /// Notes that the agent ends before it is done, and why.
+    pub fn fail(&mut self, reason: &str) {
+        (self.phase, self.seconds_left) = (AgentPhase::Failed, None);
+        self.problem = Some(short(reason));
+    }
+
     /// Notes an event of the agent. Returns whether the status should be told at once.
     pub fn follow(&mut self, event: &AgentEvent) -> bool {
         let before = self.phase;
-        let short = |problem: &str| problem.chars().take(PROBLEM_CHARS_MAX).collect();
         if let AgentEvent::Retrying { reason, .. } | AgentEvent::GlobalRefused { reason, .. } = event {
             self.problem = Some(short(reason));
         }

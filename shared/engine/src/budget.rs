@@ -87,6 +87,21 @@ pub enum BudgetError {
     },
 }
 
+impl BudgetError {
+    /// This error, or another one that needs less memory.
+    pub fn or_less(self, other: Self) -> Self {
+        match (&self, &other) {
+            (Self::TooLittleMemory { least_bytes, .. }, Self::TooLittleMemory { least_bytes: less, .. })
+                if less < least_bytes =>
+            {
+                other
+            }
+            (Self::PictureTooLarge { .. }, Self::TooLittleMemory { .. }) => other,
+            _ => self,
+        }
+    }
+}
+
 impl Budget {
     /// Divides the memory limit: first come the fixed costs; the rest is for the splats and the picture cache.
     pub fn plan(wish: &Wish) -> Result<Self, BudgetError> {

@@ -187,6 +187,10 @@ fn keep(
             let _ = say.send(told);
         }
     }
+    // What has changed since, such as why the agent ends.
+    if let Some(teller) = &mut teller {
+        teller.tell(&mut connection, now());
+    }
 }
 
 /// What an event means for the user. Of attempts in a row, fewer and fewer are told.

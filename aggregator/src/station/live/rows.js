@@ -26,7 +26,7 @@ const bytes = (count) => (count >= 1e6 ? `${(count / 1e6).toFixed(1)} MB` : `${M
 const seconds = (s) => (s >= 5400 ? `${Math.round(s / 3600)} h` : s >= 120 ? `${Math.round(s / 60)} min` : `${Math.round(s)} s`);
 /** Seconds since a device was heard; null if it was not. */
 const heardAgo = ({ heardAt }) => (heardAt === null ? null : (Date.now() - heardAt) / 1000);
-const isAlive = (device) => device.heardAt !== null && heardAgo(device) < SILENT_S && device.status?.phase !== 'done';
+const isAlive = (device) => device.heardAt !== null && heardAgo(device) < SILENT_S && !['done', 'failed'].includes(device.status?.phase);
 
 /** A bar with a text over it. */
 function bar(cell, label, value, max, text) {
