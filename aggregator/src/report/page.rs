@@ -50,7 +50,7 @@ fn header(html: &mut String, report: &MissionReport) {
         html,
         "<h2>The mission</h2>\n<p class=\"soft\">{} over <code>{}</code>, seed {}</p>\n",
         counted(report.agents.len(), "agent"),
-        escape(&report.data.display().to_string()),
+        escape(&report.data.file_name().unwrap_or_default().to_string_lossy()),
         report.seed
     );
     let quality = |text: fn(&Quality) -> Option<String>| whole.quality.as_ref().and_then(text);

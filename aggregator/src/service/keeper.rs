@@ -456,7 +456,13 @@ impl Keeper {
         self.begin_to_restore(now)?;
         let withdrawn = self.shelf.withdraw_devices()?;
         if withdrawn.is_some() {
-            self.round = Some(Round::extend(self.round.take(), now));
+            let record = Merging::read(&self.folder);
+            let is_shown = record.is_some_and(|record| self.shelf.has_withdrawn(&record.inputs));
+            // Too few devices may be left for a quorum, and what is withdrawn must not stay for as long as the deadline.
+            self.round = Some(match (is_shown, &self.expected) {
+                (true, Expected::Anybody(_)) => Round::at_once(self.round.take(), now),
+                _ => Round::extend(self.round.take(), now),
+            });
         }
         if self.shelf.is_emptied() {
             (self.job, self.to_offer) = (None, false);

@@ -98,13 +98,16 @@ class Viewer {
     this.layer = layer;
     const painted = await Promise.all([paint(this.drawing, this.scene, layer), this.comparison?.paint(layer) ?? true]);
     if (painted.includes(false)) return;
-    this.explain(layer);
+    this.explain();
+    const isOfLayer = Object.values(TOLD).includes(this.told.textContent);
+    if (TOLD[layer] || isOfLayer) this.tell(TOLD[layer] ?? '');
     this.press();
     this.changed();
   }
 
-  /** Tells what the colours of a layer mean. */
-  explain(layer) {
+  /** Tells what the colours of the layer mean, in the newest revision and in that before if it is shown. */
+  explain() {
+    const { layer } = this;
     const entry = ([text, color]) => {
       const [item, swatch] = ['li', 'span'].map((name) => document.createElement(name));
       swatch.style.background = `rgb(${color})`;
@@ -112,9 +115,11 @@ class Viewer {
       return item;
     };
     const legend = this.section.querySelector('.legend');
-    legend.replaceChildren(...(layer < CONFIDENCE ? [] : legendOf(layer, this.scene).map(entry)));
+    const before = this.comparison?.isShown ? this.comparison.scene.devices : [];
+    const gone = before.filter(({ name }) => !this.scene.devices.some((device) => device.name === name));
+    const scene = { ...this.scene, devices: [...this.scene.devices, ...gone] };
+    legend.replaceChildren(...(layer < CONFIDENCE ? [] : legendOf(layer, scene).map(entry)));
     legend.hidden = layer < CONFIDENCE;
-    if (TOLD[layer]) this.tell(TOLD[layer]);
   }
 
   /** The camera of the page, for a canvas of its size. */
@@ -210,6 +215,7 @@ class Viewer {
     } catch (error) {
       this.tell(error.message);
     } finally {
+      this.explain();
       this.press();
       this.changed();
     }
@@ -255,8 +261,12 @@ class Viewer {
   /** The picture from any camera as a PNG in a `data:` URL, in the camera's size. */
   async picture(camera, layer = 0) {
     while (!(await this.drawing.sort(camera)));
+    const hidesPaint = layer < CONFIDENCE && this.layer >= CONFIDENCE;
+    if (hidesPaint) this.drawing.takePaint(null);
     this.drawing.draw(camera, layer < CONFIDENCE ? layer : 0);
-    return this.canvas.toDataURL('image/png');
+    const picture = this.canvas.toDataURL('image/png');
+    if (hidesPaint) await this.takeLayer(this.layer);
+    return picture;
   }
 
   async save() {

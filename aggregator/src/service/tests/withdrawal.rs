@@ -30,6 +30,22 @@ fn lose_global(network: &MemoryNetwork, ground: &mut Ground, drones: &mut [Drone
 }
 
 #[test]
+fn ground_of_a_withdrawn_device_goes_although_too_few_are_left_for_a_quorum() {
+    let folder = tempfile::tempdir().unwrap();
+    let network = MemoryNetwork::new(32, Faults::NONE);
+    let rounds = Rounds { quorum: 2, quiet: Duration::ZERO, deadline: Duration::from_secs(600) };
+    let mut ground = open(&network, folder.path(), Expected::Anybody(rounds));
+    let mut drones = drones(&network, 2);
+    simulate(&network, &mut ground, &mut drones, |events, _| count(events, is_merged) == 1);
+    forget(folder.path(), "agent-1");
+    let forgotten = network.now();
+    simulate(&network, &mut ground, &mut drones, |events, _| count(events, is_merged) == 1);
+    assert!(network.now() < forgotten + Duration::from_secs(10));
+    let left = Merging::read(folder.path()).unwrap().inputs;
+    assert_eq!(left.iter().map(|input| input.device.as_str()).collect::<Vec<_>>(), ["agent-2"]);
+}
+
+#[test]
 fn the_global_model_is_removed_with_its_last_device_and_the_next_revision_has_a_higher_number() {
     let folder = tempfile::tempdir().unwrap();
     let network = MemoryNetwork::new(31, Faults::NONE);
