@@ -4,8 +4,11 @@
 //! A mesh is fused from renderings of all cameras ([`crate::mesh`]): it has few floaters, so heights and points come from
 //! it. Heights that do not agree with what the cameras show are left out. The colours of the map come from the splats,
 //! rendered straight down. The cameras are rendered once for all comparisons. All is computed tile by tile into files
-//! without names, from which the deliverables are then written. So the memory is that of the fusion: all that follows needs less, because it has the mesh or the splats but never
-//! both, and one tile at a time.
+//! without names, from which the deliverables are then written.
+//!
+//! The memory is that of the fusion. The cameras are rendered again beside the mesh, in the memory that it leaves: the fusion
+//! counts more for each of its vertices, so pictures have the same size. All that follows needs less, because it has the mesh
+//! or the splats but never both, and one tile at a time.
 //!
 //! What it knows nothing about: how the model was made, command lines. The world of the model must be ENU metres
 //! about the origin of a site ([`cosurf_geo`]).
@@ -203,7 +206,8 @@ impl Shape {
         let mut ground = Ground::of(&mesh, &scene.frame, &scene.cameras, &witnesses, &place)?;
         let mut depths = Depths::new(out)?;
         let mut floaters = Floaters::new(&mesh, &scene.frame, voxel_m);
-        scene.render_each(order.memory_bytes, order.threads, |[done, of], map| {
+        let held_bytes = floaters.held_bytes(&ground.is_seen);
+        scene.render_each(order.memory_bytes, held_bytes, order.threads, |[done, of], map| {
             floaters.add(map, &ground.is_seen);
             depths.push(map)?;
             show("view", "looking through", done, of);

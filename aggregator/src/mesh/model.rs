@@ -34,8 +34,8 @@ pub fn mesh_file(
     let _span = info_span!("mesh", splats = views.splats()).entered();
     let max_size_px = max_size_px.unwrap_or(u32::MAX);
     let memory_bytes = settings.memory_bytes;
-    let Fitted { cameras, pictures_bytes, fusion_bytes } =
-        fit(&mut views, cameras, max_size_px, memory_bytes)?;
+    let Fitted { cameras, pictures_bytes, beside_bytes: fusion_bytes } =
+        fit(&mut views, cameras, max_size_px, memory_bytes, budget::least_bytes)?;
     // With more memory for pictures, the file is read for more cameras at once.
     let pictures_bytes = pictures_bytes + (memory_bytes - pictures_bytes - fusion_bytes) / 2;
     let settings = FuseSettings { memory_bytes: memory_bytes - pictures_bytes, ..*settings };
@@ -43,19 +43,21 @@ pub fn mesh_file(
 }
 
 /// Renders the model in the PLY file `path`, moved into `frame`, from every camera, each once, and calls `visit` with the
-/// number of renderings so far and in all, the camera, as it was rendered, and the rendering. The process takes at most `memory_bytes`; if that is too little for a
-/// picture, pictures shrink.
+/// number of renderings so far and in all, the camera, as it was rendered, and the rendering. The process takes at most
+/// `memory_bytes`, of which the caller holds `held_bytes` meanwhile; if the rest is too little for a picture, pictures shrink.
 pub(crate) fn render_each<E: From<MeshError>>(
     path: PathBuf,
     frame: &LocalFrame,
     cameras: &[Camera],
     memory_bytes: u64,
+    held_bytes: u64,
     threads: usize,
     mut visit: impl FnMut([usize; 2], &Camera, &Rendering) -> Result<(), E>,
 ) -> Result<(), E> {
     let mut views = open(path, frame, threads)?;
-    let Fitted { cameras, .. } = fit(&mut views, cameras, u32::MAX, memory_bytes)?;
-    let mut painter = FilePainter(views.limited(memory_bytes));
+    let beside = |cameras: &[Camera]| held_bytes + budget::frame_bytes(cameras);
+    let Fitted { cameras, beside_bytes, .. } = fit(&mut views, cameras, u32::MAX, memory_bytes, beside)?;
+    let mut painter = FilePainter(views.limited(memory_bytes - beside_bytes));
     painter.expect(cameras.clone());
     let of = cameras.len();
     let mut render = |(i, camera)| visit([i + 1, of], camera, &painter.render(camera)?);
@@ -68,46 +70,53 @@ fn open(path: PathBuf, frame: &LocalFrame, threads: usize) -> Result<Views, Mesh
     if views.splats() == 0 { Err(MeshError::NoSurface) } else { Ok(views) }
 }
 
-/// Cameras whose pictures are small enough for the memory, and the least bytes for rendering and fusing them.
+/// Cameras whose pictures are small enough for the memory, and the least bytes for rendering them and beside it.
 struct Fitted {
     cameras: Vec<Camera>,
     pictures_bytes: u64,
-    fusion_bytes: u64,
+    beside_bytes: u64,
 }
 
 impl Fitted {
-    /// The cameras with pictures of at most this long side. Reads the file once.
-    fn of(views: &mut Views, cameras: &[Camera], long_side_px: u32) -> Result<Self, MeshError> {
+    /// The cameras with pictures of at most this long side. Reads the file once. `beside` tells for cameras how many bytes are
+    /// needed beside rendering.
+    fn of(
+        views: &mut Views,
+        cameras: &[Camera],
+        long_side_px: u32,
+        beside: impl Fn(&[Camera]) -> u64,
+    ) -> Result<Self, MeshError> {
         let cameras: Vec<Camera> = cameras.iter().map(|camera| camera.fitted(long_side_px)).collect();
         // A small picture shows a few splats more than a large one, because each splat is at least a pixel wide.
         let small = cameras.iter().map(|camera| camera.fitted(FIND_LEAST_PX));
         let of_all_sizes: Vec<Camera> = cameras.iter().copied().chain(small).collect();
         let pictures_bytes = views.needed_bytes(&of_all_sizes)?;
-        let fusion_bytes = budget::least_bytes(&cameras);
-        Ok(Self { cameras, pictures_bytes, fusion_bytes })
+        let beside_bytes = beside(&cameras);
+        Ok(Self { cameras, pictures_bytes, beside_bytes })
     }
 
     fn needed_bytes(&self) -> u64 {
-        self.pictures_bytes + self.fusion_bytes
+        self.pictures_bytes + self.beside_bytes
     }
 }
 
-/// Leaves out cameras that are there twice, and shrinks the pictures until they fit into the memory. A memory that is too
-/// small even for the smallest pictures is told before all sizes are tried.
+/// Leaves out cameras that are there twice, and shrinks the pictures until they and what `beside` tells for their cameras fit
+/// into the memory. A memory that is too small even for the smallest pictures is told before all sizes are tried.
 fn fit(
     views: &mut Views,
     cameras: &[Camera],
     max_size_px: u32,
     memory_bytes: u64,
+    beside: impl Fn(&[Camera]) -> u64,
 ) -> Result<Fitted, MeshError> {
     let cameras = without_twins(cameras);
     let longest = cameras.iter().map(|camera| camera.size_px[0].max(camera.size_px[1])).max();
     let mut long_side_px = longest.unwrap_or(0).min(max_size_px);
-    let largest = Fitted::of(views, &cameras, long_side_px)?;
+    let largest = Fitted::of(views, &cameras, long_side_px, &beside)?;
     if largest.needed_bytes() <= memory_bytes {
         return Ok(largest);
     }
-    let smallest = Fitted::of(views, &cameras, FIND_LEAST_PX)?;
+    let smallest = Fitted::of(views, &cameras, FIND_LEAST_PX, &beside)?;
     let needed_bytes = smallest.needed_bytes();
     if needed_bytes > memory_bytes {
         return Err(MeshError::TooLittleMemory { splats: views.splats(), needed_bytes, memory_bytes });
@@ -117,7 +126,7 @@ fn fit(
         if long_side_px <= FIND_LEAST_PX {
             return Ok(smallest);
         }
-        let fitted = Fitted::of(views, &cameras, long_side_px)?;
+        let fitted = Fitted::of(views, &cameras, long_side_px, &beside)?;
         if fitted.needed_bytes() <= memory_bytes {
             return Ok(fitted);
         }

@@ -24,6 +24,13 @@ impl<'a> Floaters<'a> {
         Self { mesh, frame, voxel_m, views: vec![Views::default(); mesh.positions.len()] }
     }
 
+    /// Bytes of the mesh, and of the counts and flags of its vertices.
+    pub(super) fn held_bytes(&self, is_seen: &[bool]) -> u64 {
+        let Mesh { positions, rgb, triangles, .. } = self.mesh;
+        let mesh = size_of_val(&positions[..]) + size_of_val(&rgb[..]) + size_of_val(&triangles[..]);
+        (mesh + size_of_val(&self.views[..]) + size_of_val(is_seen)) as u64
+    }
+
     /// Counts what a camera shows of the vertices that are seen.
     pub(super) fn add(&mut self, map: &DepthMap, is_seen: &[bool]) {
         let (picture, frame) = (Picture::new(map, self.voxel_m), self.frame);

@@ -74,17 +74,27 @@ impl Scene {
     }
 
     /// Calls `visit` with the number of renderings so far and in all, and what each camera shows. Pictures shrink to fit into
-    /// the memory.
+    /// the memory, beside the `held_bytes` that the caller holds meanwhile.
     pub(super) fn render_each(
         &self,
         memory_bytes: u64,
+        held_bytes: u64,
         threads: usize,
         mut visit: impl FnMut([usize; 2], &DepthMap) -> Result<(), SurveyError>,
     ) -> Result<(), SurveyError> {
         let (model, cameras) = (self.model.clone(), self.local_cameras());
-        render_each(model, &self.frame, &cameras, memory_bytes, threads, |counts, camera, rendering| {
-            visit(counts, &DepthMap::of(&self.frame.world_camera(camera), rendering, self.frame.unit()))
-        })
+        let unit_m = self.frame.unit();
+        render_each(
+            model,
+            &self.frame,
+            &cameras,
+            memory_bytes,
+            held_bytes,
+            threads,
+            |counts, camera, rendering| {
+                visit(counts, &DepthMap::of(&self.frame.world_camera(camera), rendering, unit_m))
+            },
+        )
     }
 
     /// Calls `visit` with all splats, in the frame of the scene, at most `most` at a time.

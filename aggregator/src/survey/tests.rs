@@ -1,6 +1,7 @@
 //! Surveys of a synthetic slope, whose heights are known.
 #![allow(clippy::unwrap_used)]
 
+mod memory;
 mod validated;
 
 use std::path::Path;
@@ -341,7 +342,7 @@ fn vertices_that_most_cameras_look_through_are_left_out() {
     let mesh = Mesh { positions: at.map(local).to_vec(), ..Mesh::default() };
     let mut is_seen = vec![true; 5];
     let mut floaters = Floaters::new(&mesh, &scene.frame, 0.1);
-    let rendered = scene.render_each(MEMORY_BYTES, 2, |_, map| {
+    let rendered = scene.render_each(MEMORY_BYTES, 0, 2, |_, map| {
         floaters.add(map, &is_seen);
         Ok(())
     });
