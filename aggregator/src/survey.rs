@@ -6,9 +6,9 @@
 //! rendered straight down. The cameras are rendered once for all comparisons. All is computed tile by tile into files
 //! without names, from which the deliverables are then written.
 //!
-//! The memory is that of the fusion. The cameras are rendered again beside the mesh, in the memory that it leaves: the fusion
-//! counts more for each of its vertices, so pictures have the same size. All that follows needs less, because it has the mesh
-//! or the splats but never both, and one tile at a time.
+//! The memory is that of the fusion. The cameras are rendered again beside the mesh, in the memory that it leaves: the
+//! fusion counts more for each of its vertices, so pictures have the same size. All that follows needs less, because it has
+//! the mesh or the splats but never both, and one tile at a time.
 //!
 //! What it knows nothing about: how the model was made, command lines. The world of the model must be ENU metres
 //! about the origin of a site ([`cosurf_geo`]).

@@ -44,7 +44,7 @@ pub fn mesh_file(
 
 /// Renders the model in the PLY file `path`, moved into `frame`, from every camera, each once, and calls `visit` with the
 /// number of renderings so far and in all, the camera, as it was rendered, and the rendering. The process takes at most
-/// `memory_bytes`, of which the caller holds `held_bytes` meanwhile; if the rest is too little for a picture, pictures shrink.
+/// `memory_bytes`, of which the caller holds `held_bytes` meanwhile; if the rest is too little for a picture, they shrink.
 pub(crate) fn render_each<E: From<MeshError>>(
     path: PathBuf,
     frame: &LocalFrame,
@@ -78,8 +78,8 @@ struct Fitted {
 }
 
 impl Fitted {
-    /// The cameras with pictures of at most this long side. Reads the file once. `beside` tells for cameras how many bytes are
-    /// needed beside rendering.
+    /// The cameras with pictures of at most this long side. Reads the file once. `beside` tells for cameras how many
+    /// bytes are needed beside rendering.
     fn of(
         views: &mut Views,
         cameras: &[Camera],
@@ -100,8 +100,8 @@ impl Fitted {
     }
 }
 
-/// Leaves out cameras that are there twice, and shrinks the pictures until they and what `beside` tells for their cameras fit
-/// into the memory. A memory that is too small even for the smallest pictures is told before all sizes are tried.
+/// Leaves out cameras that are there twice, and shrinks the pictures until they and what `beside` tells for their cameras
+/// fit into the memory. A memory that is too small even for the smallest pictures is told before all sizes are tried.
 fn fit(
     views: &mut Views,
     cameras: &[Camera],
