@@ -27,7 +27,7 @@ pub enum MergeError {
     #[error(transparent)]
     Device(#[from] DeviceError),
     /// The memory limit is too small for one tile of the ground, or for every model.
-    #[error("a memory limit of {} MiB is too small; this merge needs at least {1} MiB ({1}MiB as --memory of merge, --merge-memory of mission, or merge_memory in aggregator.toml)", memory_bytes >> 20, needed_bytes.div_ceil(1 << 20))]
+    #[error("a memory limit of {} MiB is too small; this merge needs at least {1} MiB (--memory {1}MiB; in a mission --merge-memory, in aggregator.toml merge_memory)", memory_bytes >> 20, needed_bytes.div_ceil(1 << 20))]
     TooLittleMemory {
         /// The memory limit, bytes.
         memory_bytes: u64,
@@ -35,7 +35,7 @@ pub enum MergeError {
         needed_bytes: u64,
     },
     /// The memory limit is too small for the pictures of some models, whatever else is merged.
-    #[error("a memory limit of {} MiB is too small for the largest pictures; they need at least {1} MiB ({1}MiB as --memory of merge, --merge-memory of mission, or merge_memory in aggregator.toml)", memory_bytes >> 20, needed_bytes.div_ceil(1 << 20))]
+    #[error("a memory limit of {} MiB is too small for the largest pictures; they need at least {1} MiB (--memory {1}MiB; in a mission --merge-memory, in aggregator.toml merge_memory)", memory_bytes >> 20, needed_bytes.div_ceil(1 << 20))]
     PicturesTooLarge {
         /// Indices of the models, ascending.
         locals: Vec<usize>,
@@ -45,7 +45,7 @@ pub enum MergeError {
         needed_bytes: u64,
     },
     /// The memory limit is too small for some models.
-    #[error("a memory limit of {} MiB is too small for the largest models; they need at least {1} MiB ({1}MiB as --memory of merge, --merge-memory of mission, or merge_memory in aggregator.toml)", memory_bytes >> 20, needed_bytes.div_ceil(1 << 20))]
+    #[error("a memory limit of {} MiB is too small for the largest models; they need at least {1} MiB (--memory {1}MiB; in a mission --merge-memory, in aggregator.toml merge_memory)", memory_bytes >> 20, needed_bytes.div_ceil(1 << 20))]
     ModelsTooLarge {
         /// Indices of the models, ascending.
         locals: Vec<usize>,

@@ -21,10 +21,8 @@ use crate::partition::DEFAULT_MARGIN;
 
 /// Largest limit on clients, devices and uploads that a configuration may give.
 const LIMIT_MAX: usize = 16_384;
-/// The least memory for uploads, bytes.
-const UPLOAD_BYTES_MIN: u64 = 1 << 20;
-/// The least memory for merges, bytes: less does for no model.
-const MERGE_BYTES_MIN: u64 = 16 << 20;
+/// The least memory for uploads, and for merges, bytes. Less can only be a mistake.
+const MEMORY_BYTES_LEAST: u64 = 1 << 20;
 
 /// The content of `aggregator.toml`. Relative paths are relative to the working folder.
 #[derive(Clone, Debug, PartialEq, Deserialize)]
@@ -93,7 +91,7 @@ pub struct AggregatorConfig {
         rename = "memory",
         alias = "memory_bytes",
         default = "default_memory_bytes",
-        deserialize_with = "upload_memory"
+        deserialize_with = "service_memory"
     )]
     pub memory_bytes: u64,
     /// `merge_memory`: limit on the memory that a merge takes.
@@ -101,7 +99,7 @@ pub struct AggregatorConfig {
         rename = "merge_memory",
         alias = "merge_memory_bytes",
         default = "default_merge_memory_bytes",
-        deserialize_with = "merge_memory"
+        deserialize_with = "service_memory"
     )]
     pub merge_memory_bytes: u64,
     /// The device that computes merges: `auto`, `cpu`, `gpu` or `gpu:N`.
@@ -270,19 +268,13 @@ fn limit<'de, D: Deserializer<'de>>(deserializer: D) -> Result<usize, D::Error> 
     Err(D::Error::custom(format!("give a number from 1 to {LIMIT_MAX}; {remedy}")))
 }
 
-/// Reads the limit on the memory of uploads.
-fn upload_memory<'de, D: Deserializer<'de>>(deserializer: D) -> Result<u64, D::Error> {
-    at_least(UPLOAD_BYTES_MIN, amount(deserializer)?)
-}
-
-/// Reads the limit on the memory of a merge.
-fn merge_memory<'de, D: Deserializer<'de>>(deserializer: D) -> Result<u64, D::Error> {
-    at_least(MERGE_BYTES_MIN, amount(deserializer)?)
-}
-
-/// The amount `bytes`, unless it is below `least`.
-fn at_least<E: Error>(least: u64, bytes: u64) -> Result<u64, E> {
-    if bytes >= least { Ok(bytes) } else { Err(E::custom(format!("give at least {}", format_bytes(least)))) }
+/// Reads the limit on the memory of uploads or of a merge.
+fn service_memory<'de, D: Deserializer<'de>>(deserializer: D) -> Result<u64, D::Error> {
+    let bytes = amount(deserializer)?;
+    match bytes >= MEMORY_BYTES_LEAST {
+        true => Ok(bytes),
+        false => Err(D::Error::custom(format!("give at least {}", format_bytes(MEMORY_BYTES_LEAST)))),
+    }
 }
 
 /// Reads the limit on the built-in broker's memory.
@@ -369,7 +361,7 @@ mod tests {
             ("tls = { cart = \"c\" }", "line 3, tls: unknown field `cart`"),
             ("broker_memory_bytes = 1_000_000", "line 3, broker_memory_bytes: give at least 16.0 MiB"),
             ("broker_memory = \"1MB\"", "line 3, broker_memory: give at least 16.0 MiB"),
-            ("merge_memory = 0", "line 3, merge_memory: give at least 16.0 MiB"),
+            ("merge_memory = 0", "line 3, merge_memory: give at least 1.00 MiB"),
             ("memory = \"1kB\"", "line 3, memory: give at least 1.00 MiB"),
             ("merge_memory = \"all\"", "line 3, merge_memory: 'all' is not an amount of memory"),
             ("compute = \"cuda\"", "line 3, compute: give auto, cpu, gpu or gpu:N"),
