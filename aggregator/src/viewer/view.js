@@ -261,12 +261,11 @@ class Viewer {
   /** The picture from any camera as a PNG in a `data:` URL, in the camera's size. */
   async picture(camera, layer = 0) {
     while (!(await this.drawing.sort(camera)));
-    const hidesPaint = layer < CONFIDENCE && this.layer >= CONFIDENCE;
-    if (hidesPaint) this.drawing.takePaint(null);
+    const { paint } = this.drawing;
+    if (layer < CONFIDENCE) this.drawing.paint = null;
     this.drawing.draw(camera, layer < CONFIDENCE ? layer : 0);
-    const picture = this.canvas.toDataURL('image/png');
-    if (hidesPaint) await this.takeLayer(this.layer);
-    return picture;
+    this.drawing.paint = paint;
+    return this.canvas.toDataURL('image/png');
   }
 
   async save() {
