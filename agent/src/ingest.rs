@@ -82,7 +82,8 @@ pub fn is_without_place(data: &Path) -> bool {
     publishing::is_finished(folder, Poses::Found) && !folder.join(Georeference::FILE).is_file()
 }
 
-/// Makes a dataset. If the folder has poses, they are taken, and only the pictures are undistorted. `tell` gets progress, and what is left out.
+/// Makes a dataset. If the folder has poses, they are taken, and only the pictures are undistorted. `tell` gets progress, and
+/// what is left out.
 pub fn ingest(plan: &IngestPlan, tell: &mut dyn FnMut(AgentEvent)) -> Result<Ingested, IngestError> {
     let work = plan.out.join(WORK);
     refuse_occupied(&plan.out, &work)?;

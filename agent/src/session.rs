@@ -377,7 +377,7 @@ fn check_pictures(held_out: &[View], sizes: &Sizes) -> Result<()> {
     Ok(())
 }
 
-/// Fails if a picture to train on was cut short. The first steps of a training would tell it. Decodes nothing.
+/// Fails if the file of a picture to train on was cut short. A training fails at its first steps then. Decodes no picture.
 pub fn check_pictures_are_whole(plan: &TrainPlan) -> Result<()> {
     let (dataset, _) = open_dataset(plan)?;
     let (train, _) = split(&dataset, &plan.split)?;
@@ -516,7 +516,6 @@ impl TooLittleMemory {
     }
 }
 
-/// What the training would allocate with enough memory, and the least that it needs.
 /// Plans a training with pictures of this long side. Where exact shrinking would cost splats, JPEGs are shrunk while they are
 /// decoded.
 fn plan_size(
@@ -559,6 +558,7 @@ fn points_bytes(data: &Dataset) -> u64 {
     2 * (64 * points + 4 * tracks) + 40 * points
 }
 
+/// What the training would allocate with enough memory, and the least that it needs.
 fn wish(plan: &TrainPlan, device: &Device, data: &Dataset, sources: &[Source]) -> Result<Wish> {
     let pixels: u64 =
         sources.iter().map(|source| u64::from(source.size_px[0]) * u64::from(source.size_px[1])).sum();

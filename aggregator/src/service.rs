@@ -16,7 +16,7 @@
 //! | `withdrawn/` | a file for each withdrawn device, with the numbers and hashes of its models that no longer count |
 //! | `revisions/` | for each revision in `global/`, what it was merged from: [`restore`] |
 //! | `restore` | the number of the revision that the operator wishes to restore |
-//! | `held` | the number of the revision that the newest one repeats, as long as it stays |
+//! | `held` | the number of the restored revision, as long as no merge may replace it |
 //! | `revoked/` | a file for each revoked device: [`revoked`] |
 //! | `replaced/` | a file for each device that has sent many models, with those that were removed as outdated |
 //! | `upstream/` | models from the aggregator above, if there is one: [`upstream`] |

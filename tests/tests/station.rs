@@ -315,8 +315,9 @@ fn pages_have_no_serious_fault_on_any_screen() {
         for (width_px, is_dark) in [(1100, false), (1100, true), (390, false), (390, true)] {
             browser.look(width_px, is_dark);
             browser.open(url);
-            // With the layer of the owners, whose legend names both devices.
-            let legend = "cosurf.then(async (viewer) => { await viewer.takeLayer(4); \
+            // With the layer of the owners, whose legend names both devices, although another one was asked for just before.
+            let legend = "cosurf.then(async (viewer) => { \
+                          await Promise.all([3, 4].map((layer) => viewer.takeLayer(layer))); \
                           return viewer.section.querySelector('.legend').innerText; })";
             let legend = browser.value(legend).to_string();
             assert!(legend.contains("drone-1") && legend.contains("drone-2"), "{name}: {legend}");

@@ -18,7 +18,8 @@ use super::progress::Progress;
 /// Writes DATA/images, DATA/sparse/0 (x east, y north, z up, metres about the site's origin) and DATA/geo.json. Reads EXIF,
 /// and `geo.txt` and `gcp_list.txt` in the formats of ODM if they lie beside the photographs. Without GPS and control points,
 /// scale and place stay unknown, and there is no geo.json. If PHOTOS has poses already (COLMAP, transforms.json, cameras of
-/// Metashape or RealityCapture), they are kept, and COLMAP only undistorts the pictures. To resume after a stop or a kill, run the same command again.
+/// Metashape or RealityCapture), they are kept, and COLMAP only undistorts the pictures. To resume after a stop or a kill,
+/// run the same command again.
 /// COLMAP's work lies in DATA/.ingest, which may be deleted afterwards: then the same command begins from the start.
 #[derive(Args, Debug)]
 pub(super) struct IngestArgs {

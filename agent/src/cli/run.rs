@@ -162,7 +162,11 @@ impl Job {
             let global = global_ply(&self.config.out);
             self.compare(&model, ComparedWith::Global, &global, progress)?;
         }
-        outputs::note_peak(&self.config.out, usage::peak_bytes())
+        // Everything is delivered, so a report that cannot be written is no failure.
+        if let Err(error) = outputs::note_peak(&self.config.out, usage::peak_bytes()) {
+            tracing::warn!("the report still has the peak memory of the training alone: {error:#}");
+        }
+        Ok(())
     }
 
     /// Trains on one flight after the other, as they arrive in a folder, until it is asked to end. A flight that fails is

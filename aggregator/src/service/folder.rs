@@ -77,8 +77,8 @@ pub(super) const REPORT_FILES: [&str; 3] = ["mesh.ply", "report.html", "report.j
 
 /// File of a device's model, inside the folder of a service; `None` if no device can have this name.
 pub(super) fn model_file(folder: &Path, device: &str, model: u64) -> Option<PathBuf> {
-    let device = DeviceId::new(device).ok()?;
-    Some(models(folder).join(format!("{device}.{}.model", ModelId(model))))
+    let key = ModelKey { device: DeviceId::new(device).ok()?, model: ModelId(model) };
+    Some(ModelStore::beside(&models(folder)).path(key))
 }
 
 /// When a file was written, seconds since 1970; `None` if it is missing.

@@ -318,7 +318,7 @@ impl Keeper {
         }
     }
 
-    /// The flights that count: to revoked devices nobody leaves any ground.
+    /// The flights that count. Those of revoked devices do not: nobody must leave ground to them.
     fn confirmed_flights(&self) -> Vec<(DeviceId, BodyHash)> {
         let mut flights = self.shelf.confirmed_flights();
         flights.retain(|(device, _)| !self.revoked.contains(device));

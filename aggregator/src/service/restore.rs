@@ -22,8 +22,8 @@ use super::record::{Merging, WITHDRAWN, remove};
 
 /// The file with the number of the revision that is wished, or with [`RELEASE`], inside the folder of the service.
 const WISH: &str = "restore";
-/// The file with the number of the revision that the newest one repeats, as long as it stays, inside the folder of the service.
-/// It outlasts damage to the files of the newest one.
+/// The file with the number of the older revision that the newest one is a copy of, inside the folder of the service. It is
+/// there as long as no merge may replace the copy, and outlasts damage to the files of the copy.
 pub(super) const HELD: &str = "held";
 /// The folder with the record of each revision that is kept, inside the folder of the service.
 const RECORDS: &str = "revisions";

@@ -1,6 +1,6 @@
 // Colours splats by what is known of them: on how many photographs each is, which device's photograph shows it finest, how old
-// that device's model is, and how far the splat is from the true surface. Photographs are taken to see through everything. It
-// knows nothing about WebGL and the page.
+// that device's model is, and how far the splat is from the true surface. A splat counts as being on a photograph even if
+// another one hides it there. It knows nothing about WebGL and the page.
 //
 // Start reading at paint. The worker of sort.js counts.
 
@@ -88,7 +88,7 @@ async function paint(drawing, scene, layer) {
   if (layer >= CONFIDENCE) {
     const { looks, each } = looksOf(scene);
     const marks = await sorter.marks(looks);
-    if (drawing.layer !== layer || drawing.sorter !== sorter) return false;
+    if (!marks || drawing.layer !== layer || drawing.sorter !== sorter) return false;
     texels = colorsOf(layer, marks, each, scene);
   }
   drawing.takePaint(texels);

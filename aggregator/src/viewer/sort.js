@@ -91,16 +91,17 @@ class Sorter {
     this.worker = new Worker(url);
     URL.revokeObjectURL(url);
     this.worker.postMessage({ positions, radii });
-    this.worker.onmessage = ({ data }) => (data.counts ? this.marked(data) : this.answer(data));
-    [this.asked, this.waiting, this.marked] = [null, null, null];
+    this.worker.onmessage = ({ data }) => (data.counts ? this.marking.shift()(data) : this.answer(data));
+    [this.asked, this.waiting, this.marking] = [null, null, []];
   }
 
-  /** Ends the worker. Questions that are not answered yet are answered as if a newer one had taken their place. */
+  /** Ends the worker. All questions that are not answered yet are answered with null. */
   end() {
     this.worker.terminate();
     this.asked?.resolve(null);
     this.waiting?.resolve(null);
-    [this.asked, this.waiting] = [null, null];
+    this.marking.forEach((resolve) => resolve(null));
+    [this.asked, this.waiting, this.marking] = [null, null, []];
   }
 
   /** Resolves to `{order, range}`: splats from back to front, and depths that most of them lie between; null if a newer
@@ -113,10 +114,10 @@ class Sorter {
     });
   }
 
-  /** Resolves to `{counts, owners}` of the splats for these photographs; see `mark`. At most one question at a time. */
+  /** Resolves to `{counts, owners}` of the splats for these photographs; see `mark`. Null if the worker has ended. */
   marks(looks) {
     return new Promise((resolve) => {
-      this.marked = resolve;
+      this.marking.push(resolve);
       this.worker.postMessage({ looks });
     });
   }

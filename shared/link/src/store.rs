@@ -186,7 +186,8 @@ impl ModelStore {
         }
     }
 
-    fn path(&self, key: ModelKey) -> PathBuf {
+    /// The file of a model, whether it is there or not.
+    pub fn path(&self, key: ModelKey) -> PathBuf {
         self.folder.join(format!("{}.{}.{EXTENSION}", key.device, key.model))
     }
 }

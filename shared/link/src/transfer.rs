@@ -197,21 +197,26 @@ impl Transfer {
         if (ModelHeader { chunk_bytes: header.chunk_bytes, ..old }) != header {
             return false;
         }
-        let mut received = BitSet::empty(header.chunks());
-        let mut received_bytes = 0;
-        for index in 0..header.chunks() {
-            let Some(range) = header.chunk_range(index) else { continue };
-            let chunk_bytes = u64::from(old.chunk_bytes);
+        let chunk_bytes = u64::from(old.chunk_bytes);
+        let before = std::mem::replace(&mut self.received, BitSet::empty(0));
+        (self.header, self.session) = (header, session);
+        self.count_received(|range| {
             let mut chunks = range.start / chunk_bytes..range.end.div_ceil(chunk_bytes);
-            if chunks.all(|chunk| self.received.contains(chunk as u32)) {
-                received.insert(index);
-                received_bytes += range.end - range.start;
-            }
-        }
-        (self.header, self.session, self.received, self.received_bytes) =
-            (header, session, received, received_bytes);
+            chunks.all(|chunk| before.contains(chunk as u32))
+        });
         self.phase = TransferPhase::Fetching { want_at: now };
         true
+    }
+
+    /// Counts those chunks as received, and no others, of whose range of the body `is_here` tells that it has arrived.
+    fn count_received(&mut self, is_here: impl Fn(&Range<u64>) -> bool) {
+        (self.received, self.received_bytes) = (BitSet::empty(self.header.chunks()), 0);
+        for index in 0..self.header.chunks() {
+            if let Some(range) = self.header.chunk_range(index).filter(&is_here) {
+                self.received.insert(index);
+                self.received_bytes += range.end - range.start;
+            }
+        }
     }
 
     /// Schedules a `Want` for `now`, because the sender has repeated its offer.
@@ -268,17 +273,10 @@ impl Transfer {
     /// Counts the chunks as received that lie within these ranges of the body and have room.
     pub(crate) fn resume(&mut self, now: Duration, here: &[Range<u64>]) -> ChunkOutcome {
         let claim = self.claim();
-        let is_here = |range: &Range<u64>| {
+        self.count_received(|range| {
             let after = here.partition_point(|other| other.start <= range.start);
             range.end <= claim && after.checked_sub(1).is_some_and(|last| range.end <= here[last].end)
-        };
-        self.received_bytes = 0;
-        for index in 0..self.header.chunks() {
-            if let Some(range) = self.header.chunk_range(index).filter(is_here) {
-                self.received.insert(index);
-                self.received_bytes += range.end - range.start;
-            }
-        }
+        });
         self.phase = TransferPhase::Fetching { want_at: now };
         if self.received.len() < self.header.chunks() { ChunkOutcome::Taken } else { self.on_complete(now) }
     }

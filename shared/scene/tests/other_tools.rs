@@ -10,6 +10,7 @@ use cosurf_scene::spz::{self, Version};
 use cosurf_scene::{Camera, Dataset, LocalFrame, Pose, SparsePoint, Splats, View, colmap, model, ply};
 use cosurf_tests::skips::skip;
 use glam::{DVec2, DVec3};
+use tempfile::TempDir;
 
 fn validators() -> PathBuf {
     Path::new(env!("CARGO_MANIFEST_DIR")).join("../../target/validators")
@@ -80,15 +81,21 @@ fn check_about(file: &Path, wanted: &Splats, angle_max: f32) {
     assert!((0..5).all(|k| most[k] <= limits[k]), "{}: {most:?}, at most {limits:?}", file.display());
 }
 
+/// A folder with a model as `ours.ply`, and the model.
+fn written() -> (TempDir, Splats) {
+    let folder = tempfile::tempdir().unwrap();
+    let wanted = model_of_many();
+    ply::write(&folder.path().join("ours.ply"), &wanted, &LocalFrame::WORLD).unwrap();
+    (folder, wanted)
+}
+
 #[test]
 fn splat_transform_reads_what_is_written_here() {
     if !has_transform() {
         return;
     }
-    let folder = tempfile::tempdir().unwrap();
+    let (folder, wanted) = written();
     let at = |name: &str| folder.path().join(name);
-    let wanted = model_of_many();
-    ply::write(&at("ours.ply"), &wanted, &LocalFrame::WORLD).unwrap();
     transform(&at("ours.ply"), &at("theirs.ply"), &[]);
     let most = differences(&ply::read(&at("theirs.ply"), &LocalFrame::WORLD).unwrap(), &wanted);
     assert!(most.iter().all(|of| *of < 1e-3), "{most:?}");
@@ -104,10 +111,8 @@ fn what_splat_transform_writes_is_read_here() {
     if !has_transform() {
         return;
     }
-    let folder = tempfile::tempdir().unwrap();
+    let (folder, wanted) = written();
     let at = |name: &str| folder.path().join(name);
-    let wanted = model_of_many();
-    ply::write(&at("ours.ply"), &wanted, &LocalFrame::WORLD).unwrap();
     for version in ["3", "4"] {
         transform(&at("ours.ply"), &at("theirs.spz"), &["--spz-version", version]);
         check_about(&at("theirs.spz"), &wanted, 0.01);

@@ -64,6 +64,22 @@ fn pass(network: &MemoryNetwork, ground: &mut Ground, flyers: &mut [Flyer], seco
     }
 }
 
+/// Starts the service again, lets it run for 100 s with the same flyers, and returns it.
+fn again(network: &MemoryNetwork, ground: Ground, folder: &Path, flyers: &mut [Flyer]) -> Ground {
+    network.leave(ground.transport);
+    drop(ground.service);
+    let mut ground = open_keyed(network, folder, 101);
+    flyers.iter_mut().for_each(|flyer| flyer.confirmed.clear());
+    pass(network, &mut ground, flyers, 100);
+    ground
+}
+
+/// The same flyers, the first one of them with its next flight, of four cameras.
+fn with_next_flight(network: &MemoryNetwork, [agent_1, agent_2]: [Flyer; 2]) -> [Flyer; 2] {
+    network.leave(agent_1.drone.transport);
+    [Flyer::new(network, "agent-1", 120, 4), agent_2]
+}
+
 /// A withdrawn flight stays withdrawn, although its drone is there and pledges it again and again, and although the service
 /// starts again. A later flight of the drone counts.
 #[test]
@@ -78,18 +94,12 @@ fn attack_11_a_withdrawn_flight_is_not_confirmed_again() {
     withdraw(folder.path(), &DeviceId::new("agent-1").unwrap()).unwrap();
     pass(&network, &mut ground, &mut flyers, 100);
     assert!(!flyers[1].is_told("agent-1", 3) && flyers[1].is_told("agent-2", 2));
-    network.leave(ground.transport);
-    drop(ground.service);
 
-    let mut ground = open_keyed(&network, folder.path(), 101);
-    flyers.iter_mut().for_each(|flyer| flyer.confirmed.clear());
-    pass(&network, &mut ground, &mut flyers, 100);
+    let mut ground = again(&network, ground, folder.path(), &mut flyers);
     assert!(!flyers[1].is_told("agent-1", 3), "it has pledged to the new session, too");
     assert!(flyers[1].is_told("agent-2", 2));
 
-    let [agent_1, agent_2] = flyers;
-    network.leave(agent_1.drone.transport);
-    let mut flyers = [Flyer::new(&network, "agent-1", 120, 4), agent_2];
+    let mut flyers = with_next_flight(&network, flyers);
     pass(&network, &mut ground, &mut flyers, 5);
     assert!(flyers[1].is_told("agent-1", 4), "a later flight");
 }
@@ -109,19 +119,13 @@ fn the_flight_of_a_revoked_device_takes_no_ground_from_others() {
     revoke(folder.path(), &device).unwrap();
     pass(&network, &mut ground, &mut flyers, 30);
     assert!(!flyers[1].is_told("agent-1", 3) && flyers[1].is_told("agent-2", 2));
-    network.leave(ground.transport);
-    drop(ground.service);
 
-    let mut ground = open_keyed(&network, folder.path(), 101);
-    flyers.iter_mut().for_each(|flyer| flyer.confirmed.clear());
-    pass(&network, &mut ground, &mut flyers, 100);
+    let mut ground = again(&network, ground, folder.path(), &mut flyers);
     assert!(!flyers[1].is_told("agent-1", 3), "it pledges to the new session, too");
     assert!(flyers[1].is_told("agent-2", 2));
 
     assert!(readmit(folder.path(), &device).unwrap());
-    let [agent_1, agent_2] = flyers;
-    network.leave(agent_1.drone.transport);
-    let mut flyers = [Flyer::new(&network, "agent-1", 120, 4), agent_2];
+    let mut flyers = with_next_flight(&network, flyers);
     pass(&network, &mut ground, &mut flyers, 30);
     assert!(flyers[1].is_told("agent-1", 4), "it is let in again");
 }
