@@ -69,7 +69,12 @@ impl Wine {
     /// Starts a program in a terminal. What is written to its input is typed, and what it prints is in `typed.log` at once.
     pub fn type_to(&self, name: &str, arguments: &str) -> Child {
         let mut command = Command::new("script");
-        command.args(["-qefc", &format!("{} {name}.exe {arguments}", self.loader.display()), "typed.log"]);
+        // `exec`, because a shell that waits for the program would answer to Ctrl-C, too, with a status of its own.
+        command.args([
+            "-qefc",
+            &format!("exec {} {name}.exe {arguments}", self.loader.display()),
+            "typed.log",
+        ]);
         self.set_up(&mut command);
         command.stdin(Stdio::piped()).spawn().unwrap()
     }
