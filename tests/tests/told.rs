@@ -9,7 +9,7 @@ use std::net::TcpListener;
 use std::path::Path;
 use std::process::{Child, Command, Stdio};
 use std::sync::mpsc::{Receiver, channel};
-use std::thread::spawn;
+use std::thread::{sleep, spawn};
 use std::time::{Duration, Instant};
 
 use cosurf_contract::{AgentPhase, AgentStatus};
@@ -418,7 +418,30 @@ fn preflight_tells_whether_a_flight_can_begin() {
     let (is_ready, told) = preflight(&at_broker);
     assert!(!is_ready && told.contains("cut short"), "{told}");
     let (is_ready, told) = preflight(&format!("broker = \"mqtt://{free}\""));
-    assert!(!is_ready && told.contains("refused") && told.contains("cannot be reached"), "{told}");
+    assert!(!is_ready && told.contains("refused") && told.contains("check the address"), "{told}");
+    fs::write(&picture, &whole).unwrap();
+    let elsewhere = tempfile::tempdir().unwrap();
+    let other = Agent::start(elsewhere.path(), &at_broker, 100_000);
+    other.tells(TRAINING);
+    let (is_ready, told) = preflight(&at_broker);
+    assert!(!is_ready && told.contains("another program is connected to the broker as drone"), "{told}");
+    drop(other);
+}
+
+/// Two programs of one name end each other's connections. Mosquitto does not tell them why.
+#[test]
+fn two_agents_of_one_name_are_told_so_in_few_lines() {
+    let (folder, other) = (tempfile::tempdir().unwrap(), tempfile::tempdir().unwrap());
+    let Some(broker) = Mosquitto::start(folder.path(), PLAIN, false) else { return };
+    let at_broker = format!("broker = \"mqtt://127.0.0.1:{}\"", broker.address.port);
+    let first = Agent::start(folder.path(), &at_broker, 100_000);
+    first.tells(TRAINING);
+    let second = Agent::start(other.path(), &at_broker, 100_000);
+    second.tells_within("same name", 2 * AT_ONCE);
+    first.tells_within("same name", 2 * AT_ONCE);
+    sleep(AT_ONCE);
+    let more = first.lines.try_iter().filter(|line| line.contains("broker")).count();
+    assert!(more <= 5, "{more} lines in {AT_ONCE:?}");
 }
 
 #[test]

@@ -11,7 +11,7 @@ use std::fs;
 use std::path::{Path, PathBuf};
 use std::time::{Duration, Instant, SystemTime, UNIX_EPOCH};
 
-use anyhow::{Context, Result, ensure};
+use anyhow::{Context, Result, bail};
 use clap::Args;
 use cosurf_agent::arrival::Arrival;
 use cosurf_agent::publish::{Publication, Sharing, global_ply, publish};
@@ -32,7 +32,7 @@ use super::{stop, train};
 use choice::Answer;
 use comparison::Comparison;
 pub(super) use doctor::{DoctorArgs, doctor};
-use reporter::Reporter;
+use reporter::{CONNECT_TIMEOUT, Reporter};
 use route::{Connection, Route};
 use watch::{FailedFlight, Watched};
 
@@ -79,12 +79,12 @@ pub(super) fn preflight(PreflightArgs { job: args }: &PreflightArgs) -> Result<(
     let _lock = FolderLock::take(&job.config.out, "cosurf-agent preflight")?;
     let board = StatusBoard::new(job.config.steps);
     let mut progress = Progress::new(args.json);
-    let (reporter, answer) = job.ask(Route::connect_asking, true, &board, &mut progress)?;
-    let is_answered = answer.is_some();
+    let (answer, unreached) = job.try_line(&board, &mut progress)?;
     job.follow_plan(choice::begun_with(&job.config.out), answer, &mut progress)?;
     let report = train::prepare(&job.plan, &job.config.out)?;
-    ensure!(reporter.is_well(), "the aggregator cannot be reached as configured; the lines above tell why");
-    ensure!(is_answered, job.unanswered());
+    if let Some(why) = unreached {
+        bail!(why);
+    }
     session::check_pictures_are_whole(&job.plan)?;
     progress.show(&AgentEvent::Ready { report });
     Ok(())
@@ -135,8 +135,9 @@ impl Job {
         let config = AgentConfig::from_toml(&text).with_context(|| path.display().to_string())?;
         let frame = config.frame.unwrap_or_default();
         let AgentConfig { key, trusted, fleet, .. } = &config;
-        let credentials = Credentials::load(frame, key.as_deref(), trusted.as_deref(), fleet.as_deref())?;
         let named = || path.display().to_string();
+        let credentials = Credentials::load(frame, key.as_deref(), trusted.as_deref(), fleet.as_deref())
+            .with_context(named)?;
         let device = config.device.map_or_else(host::device, Ok).with_context(named)?;
         let route = Route::of(&config, device).with_context(named)?;
         Ok(Self { plan: train_plan(&config), device, credentials, route, started: Instant::now(), config })
@@ -247,11 +248,51 @@ impl Job {
     ) -> Result<Reporter> {
         let asks = begun_with.is_none();
         let (reporter, answer) = self.ask(Route::connect_reporting, asks, board, progress)?;
-        if asks && answer.is_none() && reporter.is_connected() {
-            progress.show(&AgentEvent::Retrying { reason: self.unanswered(), attempt: 1 });
+        let doubt = match (reporter.is_connected(), reporter.has_problem()) {
+            (true, _) => (asks && answer.is_none()).then(|| self.unanswered()),
+            (false, true) => Some("no connection; the training begins without one".to_owned()),
+            (false, false) => {
+                Some(format!("{}; the training begins without it", self.route.unheard(CONNECT_TIMEOUT)))
+            }
+        };
+        if let Some(reason) = doubt {
+            progress.show(&AgentEvent::Retrying { reason, attempt: 1 });
         }
         board.follow_result(self.follow_plan(begun_with, answer, progress))?;
         Ok(reporter)
+    }
+
+    /// Tries the way to the aggregator before a flight. Returns its answer, if one came, and otherwise what is wrong; all
+    /// that the connection tells is shown.
+    fn try_line(
+        &self,
+        board: &StatusBoard,
+        progress: &mut Progress,
+    ) -> Result<(Option<Answer>, Option<String>)> {
+        match self.route.is_name_taken(self.identity()?) {
+            Ok(false) => {}
+            Ok(true) => return Ok((None, Some(self.name_taken()))),
+            Err(reason) => return Ok((None, Some(reason))),
+        }
+        let (reporter, answer) = self.ask(Route::connect_asking, true, board, progress)?;
+        let unreached = match (reporter.has_problem(), reporter.is_connected(), &answer) {
+            (true, ..) => {
+                Some("the aggregator cannot be reached as configured; the lines above tell why".to_owned())
+            }
+            (_, false, _) => Some(self.route.unheard(CONNECT_TIMEOUT)),
+            (_, true, None) => Some(self.unanswered()),
+            (_, true, Some(_)) => None,
+        };
+        Ok((answer, unreached))
+    }
+
+    /// What is wrong if the broker counts this device as connected.
+    fn name_taken(&self) -> String {
+        let Self { device, config: AgentConfig { site, .. }, .. } = self;
+        format!(
+            "another program is connected to the broker as {device} of the site {site}: stop it, or give this one another \
+             `device`; if it has crashed, the broker notices within a minute"
+        )
     }
 
     /// Connects by `connect`. If the agent `asks` for its cell, also returns the answer, unless none arrived in time.

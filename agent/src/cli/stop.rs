@@ -1,7 +1,7 @@
 //! Ctrl-C and requests to terminate while a training is under way: it ends with a checkpoint after the current step. A
 //! second request ends the program at once, as does one outside of a training.
 
-use std::io;
+use std::io::{self, Write};
 use std::process;
 use std::sync::atomic::{AtomicBool, Ordering};
 use std::thread;
@@ -22,6 +22,7 @@ static IS_ASKED: AtomicBool = AtomicBool::new(false);
 pub(super) fn listen() -> Result<()> {
     ctrlc::set_handler(|| {
         if !IS_TRAINING.load(Ordering::SeqCst) || IS_ASKED.swap(true, Ordering::SeqCst) {
+            let _ = writeln!(io::stderr(), "\ncosurf-agent: stopped"); // fails only if nobody reads
             process::exit(ENDED_BY_SIGNAL);
         }
     })

@@ -167,6 +167,7 @@ pub(crate) fn replay(args: &ReplayArgs) -> Result<()> {
 /// Tells of the connection on standard error.
 fn tell(news: ConnectionNews) {
     match news {
+        ConnectionNews::NotYet { reason } => eprintln!("{reason}; trying again"),
         ConnectionNews::Lost { reason } => {
             eprintln!("{reason}; the recording goes on once the broker is back");
         }

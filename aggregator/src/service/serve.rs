@@ -109,6 +109,8 @@ pub fn serve(
         config.trusted.as_deref(),
         None,
     )?;
+    // Opened again for each merge; a card that is not there is told now, and not when models have come.
+    config.compute.open().map(drop).map_err(|error| ServeError::Compute(config.compute, error))?;
     let plan = config.plan.as_deref().map(|file| read_plan(file, config.margin)).transpose()?;
     let say_broker = say_beside.clone();
     let (embedded, reach) = reach_broker(config, move |event| say_broker(SideEvent::Broker(event)))?;

@@ -49,7 +49,7 @@ pub use inbox::{Inbox, InboxLimits};
 pub use key::ModelKey;
 pub use manifest::{Manifest, Receiver, TileEntry};
 pub use memory::{MemoryNetwork, MemoryTransport};
-pub use mqtt::{BrokerAddress, Login, MqttConfig, MqttTransport, Tls, TlsFiles, probe};
+pub use mqtt::{BrokerAddress, Login, MqttConfig, MqttTransport, Tls, TlsFiles, is_present, probe};
 pub use node::{
     Node, NodeEvent, PlannedCell, UploadFault, flight_hash, select_flight_cameras, upload_blocking,
 };
@@ -60,5 +60,5 @@ pub use serial::{SerialConfig, SerialTransport};
 pub use session::next_session;
 pub use store::{Damaged, ModelStore, StoreError};
 pub use transport::{Outgoing, PublishError, Transport, TransportEvent};
-pub use trust::{Credentials, SecretKey, Trusted};
+pub use trust::{Credentials, CredentialsError, SecretKey, Trusted};
 pub use uploader::{DEVICES_MAX, UploadProgress, Uploader};

@@ -24,6 +24,7 @@ mod config;
 mod connection;
 mod fault;
 pub mod packet;
+mod presence;
 mod probe;
 mod session;
 mod settings;
@@ -37,6 +38,7 @@ mod worker;
 
 pub use address::{BadAddress, BrokerAddress};
 pub use config::MqttConfig;
+pub use presence::is_present;
 pub use probe::probe;
 pub use settings::Login;
 pub use tls::{Tls, TlsError, TlsFiles};

@@ -81,13 +81,21 @@ impl SerialConfig {
     }
 }
 
-/// The error, in plain words if the path names something else than a serial port.
+/// The error, in plain words and with the remedy if it is a usual one.
 fn told(error: io::Error) -> io::Error {
     // What the call for the settings of a terminal says about anything else (POSIX ENOTTY).
-    match error.to_string().contains("Not a typewriter") || error.to_string().contains("Inappropriate ioctl")
-    {
-        true => io::Error::other("is no serial port: name one like /dev/ttyUSB0 as `serial`"),
-        false => error,
+    let text = error.to_string();
+    match error.kind() {
+        _ if text.contains("Not a typewriter") || text.contains("Inappropriate ioctl") => {
+            io::Error::other("is no serial port: name one like /dev/ttyUSB0 as `serial`")
+        }
+        io::ErrorKind::NotFound => {
+            io::Error::other("there is no such port: check its name, and that the radio is plugged in")
+        }
+        io::ErrorKind::PermissionDenied => io::Error::other(
+            "this user may not open the port: add the user to the port's group, often `dialout`",
+        ),
+        _ => error,
     }
 }
 

@@ -36,7 +36,7 @@ pub enum TransportEvent {
     Connected,
     /// The connection was lost or could not be made. The transport keeps trying to connect.
     Disconnected {
-        /// Number of failures since the last connection, from 1. The loss of the connection counts too.
+        /// Number of failures since the last connection that lasted, from 1. The loss of the connection counts too.
         attempt: u32,
         /// One line with the address and the error.
         reason: String,

@@ -32,6 +32,17 @@ pub struct Credentials {
     pub fleet: Option<Trusted>,
 }
 
+/// Why a file that a setting names cannot be used.
+#[derive(Debug, thiserror::Error)]
+#[error("{setting}: {cause}")]
+pub struct CredentialsError {
+    /// The setting: `key`, `trusted` or `fleet`.
+    pub setting: &'static str,
+    /// What is wrong with its file.
+    #[source]
+    pub cause: SceneError,
+}
+
 impl Credentials {
     /// Reads the given files with the secret key and the lists of keys.
     pub fn load(
@@ -39,10 +50,14 @@ impl Credentials {
         key: Option<&Path>,
         trusted: Option<&Path>,
         fleet: Option<&Path>,
-    ) -> Result<Self, SceneError> {
-        let key = key.map(SecretKey::read).transpose()?;
-        let [trusted, fleet] = [trusted, fleet].map(|list| list.map(Trusted::read).transpose());
-        Ok(Self { frame, key, trusted: trusted?, fleet: fleet? })
+    ) -> Result<Self, CredentialsError> {
+        let failed = |setting| move |cause| CredentialsError { setting, cause };
+        Ok(Self {
+            frame,
+            key: key.map(SecretKey::read).transpose().map_err(failed("key"))?,
+            trusted: trusted.map(Trusted::read).transpose().map_err(failed("trusted"))?,
+            fleet: fleet.map(Trusted::read).transpose().map_err(failed("fleet"))?,
+        })
     }
 }
 

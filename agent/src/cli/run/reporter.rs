@@ -3,7 +3,7 @@
 
 use std::sync::Arc;
 use std::sync::atomic::{AtomicBool, Ordering};
-use std::sync::mpsc::{Receiver, RecvTimeoutError, Sender, channel};
+use std::sync::mpsc::{Receiver, Sender, channel};
 use std::thread::JoinHandle;
 use std::time::{Duration, Instant};
 
@@ -17,7 +17,7 @@ use super::route::Connection;
 use crate::cli::progress::Progress;
 
 /// How long the agent tries to connect before it trains. It trains without a connection, too.
-const CONNECT_TIMEOUT: Duration = Duration::from_secs(3);
+pub(super) const CONNECT_TIMEOUT: Duration = Duration::from_secs(3);
 /// How long the agent waits, once it is connected, for the broker's refusals of its messages.
 const REFUSAL_TIMEOUT: Duration = Duration::from_millis(300);
 /// How long the agent waits, once it is connected, for its cell of the plan.
@@ -29,8 +29,7 @@ const POLL_TIMEOUT: Duration = Duration::from_millis(200);
 pub(super) struct Reporter {
     stop: Arc<AtomicBool>,
     thread: Option<JoinHandle<()>>,
-    is_connected: bool,
-    is_well: bool,
+    start: Start,
     flights: Sender<Flight>,
 }
 
@@ -73,10 +72,9 @@ impl Reporter {
             let stop = Arc::clone(&stop);
             std::thread::spawn(move || keep(node, connection, teller, &say, &queue, &stop))
         };
-        let Start { is_connected, has_problem, answer } = await_start(&hear, asks, progress);
+        let (start, answer) = await_start(&hear, asks, progress);
         progress.listen(problems(hear));
-        let is_well = is_connected && !has_problem;
-        (Self { stop, thread: Some(thread), is_connected, is_well, flights }, answer)
+        (Self { stop, thread: Some(thread), start, flights }, answer)
     }
 
     /// Announces the cameras of the agent's flight, in the frame of these credentials.
@@ -84,14 +82,14 @@ impl Reporter {
         let _ = self.flights.send(Flight { credentials, cameras }); // fails only if the thread has panicked
     }
 
-    /// Whether the agent was connected at the start, and nothing was refused.
-    pub(super) fn is_well(&self) -> bool {
-        self.is_well
-    }
-
     /// Whether the agent was connected at the start.
     pub(super) fn is_connected(&self) -> bool {
-        self.is_connected
+        self.start.is_connected
+    }
+
+    /// Whether something was wrong at the start, which has been shown.
+    pub(super) fn has_problem(&self) -> bool {
+        self.start.has_problem
     }
 }
 
@@ -110,13 +108,12 @@ impl Drop for Reporter {
 struct Start {
     is_connected: bool,
     has_problem: bool,
-    answer: Option<Answer>,
 }
 
-/// Waits for the connection, for refusals of the first messages and, if the agent `asks` for its cell, for the answer. Shows
-/// what is wrong.
-fn await_start(hear: &Receiver<Told>, asks: bool, progress: &mut Progress) -> Start {
-    let mut start = Start::default();
+/// Waits for the connection, for refusals of the first messages and, if the agent `asks` for its cell, for the answer, which
+/// is returned too. Shows what is wrong.
+fn await_start(hear: &Receiver<Told>, asks: bool, progress: &mut Progress) -> (Start, Option<Answer>) {
+    let (mut start, mut answer) = (Start::default(), None);
     let (mut end, mut refusals_end) = (Instant::now() + CONNECT_TIMEOUT, Instant::now());
     loop {
         match hear.recv_timeout(end.saturating_duration_since(Instant::now())) {
@@ -126,23 +123,15 @@ fn await_start(hear: &Receiver<Told>, asks: bool, progress: &mut Progress) -> St
                 refusals_end = Instant::now() + REFUSAL_TIMEOUT;
                 end = if asks { Instant::now() + PLAN_TIMEOUT } else { refusals_end };
             }
-            Ok(Told::Plan(answer)) => {
-                start.answer = Some(answer);
+            Ok(Told::Plan(plan)) => {
+                answer = Some(plan);
                 end = refusals_end;
             }
             Ok(Told::Problem(event)) => {
                 start.has_problem = true;
                 progress.show(&event);
             }
-            Err(_) if start.is_connected => return start,
-            Err(RecvTimeoutError::Timeout | RecvTimeoutError::Disconnected) => {
-                let seconds = CONNECT_TIMEOUT.as_secs();
-                let reason = format!(
-                    "no connection after {seconds} s: check the address; a training begins without one"
-                );
-                progress.show(&AgentEvent::Retrying { reason, attempt: 1 });
-                return start;
-            }
+            Err(_) => return (start, answer),
         }
     }
 }

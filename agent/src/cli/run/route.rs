@@ -8,7 +8,7 @@ use cosurf_contract::{AgentConfig, AgentLink, read_password};
 use cosurf_link::serial::DEVICE_MESSAGE_BYTES;
 use cosurf_link::{
     BrokerAddress, Identity, Login, MqttConfig, MqttTransport, Outgoing, PublishError, SecretKey,
-    SerialConfig, SerialTransport, Tls, Transport, TransportEvent, last_will,
+    SerialConfig, SerialTransport, Tls, Transport, TransportEvent, is_present, last_will,
 };
 use cosurf_wire::DeviceId;
 
@@ -64,6 +64,31 @@ impl Route {
                 let config = SerialConfig::device(port, *baud, identity.session, DEVICE_MESSAGE_BYTES);
                 Connection::Serial(SerialTransport::start(config))
             }
+        }
+    }
+
+    /// Whether another program is connected to the broker under the name of this device. An error is the reason why the
+    /// broker does not tell. A radio has no names.
+    pub(super) fn is_name_taken(&self, identity: Identity) -> Result<bool, String> {
+        match self {
+            Self::Broker { broker, tls, login } => {
+                let (broker, tls, login) = (broker.clone(), tls.clone(), login.clone());
+                is_present(MqttConfig { broker, identity, will: None, tls, login })
+            }
+            Self::Serial { .. } => Ok(false),
+        }
+    }
+
+    /// Why there may be no connection although no error has come, after this time.
+    pub(super) fn unheard(&self, after: Duration) -> String {
+        let seconds = after.as_secs();
+        match self {
+            Self::Broker { broker, .. } => format!(
+                "broker {broker}: no answer after {seconds} s: check the address, and that a broker listens there"
+            ),
+            Self::Serial { port, .. } => format!(
+                "serial line {port}: no answer after {seconds} s: check that the aggregator's radio is on and in reach"
+            ),
         }
     }
 

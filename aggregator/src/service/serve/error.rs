@@ -1,8 +1,11 @@
 //! Why a service did not start, or ended by itself.
 
 use std::net::SocketAddr;
+use std::path::PathBuf;
 
 use cosurf_contract::PasswordError;
+use cosurf_engine::{DeviceChoice, DeviceError};
+use cosurf_link::CredentialsError;
 use cosurf_link::mqtt::TlsError;
 use cosurf_scene::SceneError;
 
@@ -49,6 +52,15 @@ pub enum ServeError {
         "upstream.trusted is missing, but `trusted` is set: name the file with the key of the aggregator above"
     )]
     UpstreamTrusted,
+    /// The file of a key, or a list of keys, cannot be used.
+    #[error(transparent)]
+    Credentials(#[from] CredentialsError),
+    /// The device for merges cannot be opened.
+    #[error("compute: {0}: {1}")]
+    Compute(DeviceChoice, #[source] DeviceError),
+    /// The folder of certificates for devices on radios is not there.
+    #[error("line_certs: {}: there is no such folder; make it with `cosurf-aggregator pki`, or remove the line", .0.display())]
+    LineCerts(PathBuf),
     /// The built-in broker did not start.
     #[error("bind: {0}")]
     Broker(BrokerError),
@@ -58,7 +70,7 @@ pub enum ServeError {
     /// The workers' queue cannot be used.
     #[error("workers.queue: {0}")]
     Queue(QueueError),
-    /// A key file or the plan could not be read, or the service's folder could not be made or written to.
+    /// The plan could not be read, or the service's folder could not be made or written to.
     #[error(transparent)]
     Scene(#[from] SceneError),
     /// The stores in the service's folder could not be opened.

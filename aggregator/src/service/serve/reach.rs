@@ -35,6 +35,9 @@ fn reach_elsewhere(config: &AggregatorConfig, address: &BrokerAddress) -> Result
     let files = config.tls.as_ref().map(TlsConfig::of_client).transpose()?;
     let tls = Tls::for_broker(address, files.as_ref()).map_err(ServeError::Tls)?;
     let login = login(config.device, config.password_file.as_deref())?;
+    if let Some(missing) = config.line_certs.as_ref().filter(|folder| !folder.is_dir()) {
+        return Err(ServeError::LineCerts(missing.clone()));
+    }
     let lines = config.line_certs.clone().zip(files.map(|files| files.ca));
     Ok(Reach { broker: address.clone(), tls, login, lines })
 }
@@ -117,6 +120,18 @@ mod tests {
                 toml::from_str(&format!("site = \"s\"\nout = \"o\"\n{brokers}")).unwrap();
             assert!(matches!(reach_broker(&config, |_| ()), Err(ServeError::OneBroker)), "{brokers}");
         }
+    }
+
+    #[test]
+    fn a_folder_of_certificates_that_is_not_there_is_told_at_the_start() {
+        let settings =
+            "site = \"s\"\nout = \"o\"\nbroker = \"mqtt://h:1\"\nline_certs = \"no-such-folder\"\n";
+        let config: AggregatorConfig = toml::from_str(settings).unwrap();
+        let error = reach_broker(&config, |_| ()).err().unwrap();
+        assert!(
+            error.is_setting() && error.to_string().starts_with("line_certs: no-such-folder: "),
+            "{error}"
+        );
     }
 
     #[test]

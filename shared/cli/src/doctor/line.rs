@@ -8,14 +8,13 @@ use super::Finding;
 
 /// How long a radio may take to answer.
 const ANSWER_TIMEOUT: Duration = Duration::from_secs(5);
-const REMEDY: &str = "check the address, and that the other end runs and lets this one in";
 
 /// Tries whether a broker lets a participant in. What the broker keeps for the participant stays.
 pub fn broker(name: &'static str, config: MqttConfig) -> Finding {
     let to = config.broker.to_string();
     match probe(config) {
         Ok(()) => Finding::ok(name, format!("{to}: connected")),
-        Err(reason) => Finding::mend(name, reason, REMEDY),
+        Err(reason) => Finding::failed(name, reason),
     }
 }
 
@@ -26,7 +25,7 @@ pub fn radio(name: &'static str, to: &str, transport: &mut impl Transport) -> Fi
         match transport.poll(left) {
             Some(TransportEvent::Connected) => return Finding::ok(name, format!("{to}: connected")),
             Some(TransportEvent::Disconnected { reason, .. } | TransportEvent::Denied { reason }) => {
-                return Finding::mend(name, reason, REMEDY);
+                return Finding::failed(name, reason);
             }
             Some(TransportEvent::Incoming { .. }) | None => {}
         }

@@ -52,7 +52,7 @@ pub enum ConfigError {
 impl ConfigError {
     /// Adds the line and the field that `error` is about. `text` is the whole file.
     pub(super) fn from_toml(text: &str, error: &toml::de::Error) -> Self {
-        let reason = error.message().trim().replace('\n', "; ");
+        let reason = plain(&error.message().trim().replace('\n', "; "));
         // If an error is about the whole file, such as a missing field outside all tables, its span is empty and lies
         // at the start of the file.
         match error.span().filter(|span| span.end > 0) {
@@ -64,6 +64,24 @@ impl ConfigError {
             None => Self::Missing(reason),
         }
     }
+}
+
+/// The reason without the words of programmers for numbers and tables.
+fn plain(reason: &str) -> String {
+    let Some((found, expected)) = reason.split_once(", expected ") else { return reason.to_owned() };
+    let expected = match expected {
+        "u8" => "a whole number from 0 to 255",
+        "u16" => "a whole number from 0 to 65535",
+        "u32" => "a whole number from 0 to 4294967295",
+        "a nonzero u32" => "a whole number from 1 to 4294967295",
+        "u64" | "usize" => "a whole number, 0 or more",
+        "f32" | "f64" => "a number",
+        "a boolean" => "true or false",
+        "a sequence" => "a list",
+        _ if expected.starts_with("struct ") => "a table",
+        other => other,
+    };
+    format!("{}, expected {expected}", found.replace(" as i128", ""))
 }
 
 /// The line number `line` (from 1) of `text`, and a line with marks below the part of it that lies in `span`. Only the first

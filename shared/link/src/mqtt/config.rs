@@ -49,6 +49,15 @@ impl MqttConfig {
         ClientSettings { client_id, ..self.into_reporting_client() }
     }
 
+    /// The same for a client that only reads whether the device is connected. It has no will, which would end the session of
+    /// the device.
+    pub(super) fn into_presence_client(self) -> ClientSettings {
+        let Identity { site, device, .. } = self.identity;
+        let topic = Topic::State { device }.to_text(&site);
+        let client_id = format!("{}-looking", self.identity.client_id());
+        ClientSettings { client_id, will: None, ..self.subscribed_to(&[topic], 0) }
+    }
+
     /// The same for a participant that only tries whether it is let in. Of what the broker has kept, it lets it send as
     /// little as MQTT allows. It has no will, which would announce the end of a session that has not begun.
     pub(super) fn into_probing_client(self) -> ClientSettings {

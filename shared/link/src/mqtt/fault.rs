@@ -36,7 +36,10 @@ pub(super) enum Fault {
     #[error("{}", refused(*.0))]
     Refused(ConnectReturnCode),
     /// The broker refuses subscriptions.
-    #[error("subscriptions refused: give this device access to its topics")]
+    #[error(
+        "subscriptions refused: give this participant access to its topics; its name must be that of its certificate or \
+         user"
+    )]
     Subscriptions,
     /// The broker sent something that is not MQTT 5, or more than the client accepts.
     #[error("the broker sent a packet that is not allowed: {0:?}")]
@@ -44,6 +47,15 @@ pub(super) enum Fault {
     /// The broker said farewell.
     #[error("{}", closed(*.0))]
     Closed(DisconnectReasonCode),
+    /// Connection after connection is lost at once.
+    #[error(
+        "connection lost {times} times in a row just after it was made: if another program uses the same name, give \
+         each its own"
+    )]
+    LostAtOnce {
+        /// How often.
+        times: u32,
+    },
     /// Messages are not acknowledged.
     #[error("no acknowledgement; connecting again")]
     NoAcknowledgement,
@@ -53,6 +65,15 @@ pub(super) enum Fault {
 }
 
 impl Fault {
+    /// What the fault means after so many connections that were lost just after they were made. A broker that ends the older
+    /// one of two connections of one name may not say so.
+    pub(super) fn after_breaks(self, times: u32) -> Self {
+        match &self {
+            Self::Lost(error) if is_closed(error) => Self::LostAtOnce { times },
+            _ => self,
+        }
+    }
+
     /// What the fault means before the broker has answered.
     pub(super) fn before_answer(self, is_tls: bool) -> Self {
         match &self {
@@ -91,9 +112,11 @@ pub(super) fn kind_of(topic: &str) -> String {
 fn lost(error: &io::Error) -> String {
     match (tls_error(error).and_then(meaning), error.kind()) {
         (Some(told), _) => told.to_owned(),
-        (None, ErrorKind::ConnectionRefused) => "connection refused".to_owned(),
+        (None, ErrorKind::ConnectionRefused) => {
+            "connection refused: check the address, and that the broker runs".to_owned()
+        }
         (None, _) if is_closed(error) => "connection lost".to_owned(),
-        _ => error.to_string(),
+        _ => format!("{error}: check the address, and the network"),
     }
 }
 

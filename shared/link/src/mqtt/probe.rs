@@ -24,13 +24,21 @@ const END_TIMEOUT: Duration = Duration::from_secs(1);
 /// It uses the participant's own client id, because a broker may take the id from the certificate.
 pub fn probe(config: MqttConfig) -> Result<(), String> {
     let settings = config.into_probing_client();
+    block_on(&settings, try_in(&settings))
+}
+
+/// Runs what asks the broker to its end, on this thread. An error names the broker.
+pub(super) fn block_on<T>(
+    settings: &ClientSettings,
+    asking: impl Future<Output = Result<T, Fault>>,
+) -> Result<T, String> {
     let runtime = tokio::runtime::Builder::new_current_thread().enable_all().build();
     let runtime =
         runtime.map_err(|error| format!("broker {}: cannot start the I/O: {error}", settings.broker))?;
-    let tried = runtime.block_on(try_in(&settings));
+    let asked = runtime.block_on(asking);
     // A name that is still being looked up must not hold up the end.
     runtime.shutdown_background();
-    tried.map_err(|fault| format!("broker {}: {fault}", settings.broker))
+    asked.map_err(|fault| format!("broker {}: {fault}", settings.broker))
 }
 
 async fn try_in(settings: &ClientSettings) -> Result<(), Fault> {
@@ -62,7 +70,7 @@ async fn await_grant(connection: &mut Connection) -> Result<(), Fault> {
 }
 
 /// Says farewell. `expiry_s` changes how long the broker keeps the session, seconds.
-async fn leave(connection: &mut Connection, expiry_s: Option<u32>) {
+pub(super) async fn leave(connection: &mut Connection, expiry_s: Option<u32>) {
     let properties = expiry_s.map(|seconds| DisconnectProperties {
         session_expiry_interval: Some(seconds),
         reason_string: None,

@@ -20,7 +20,7 @@ const QUEUE_MAX: usize = 16;
 pub(super) enum ClientEvent {
     /// The connection is up, with all its subscriptions.
     Connected,
-    /// The connection was lost or could not be made, for this number of times since the last one.
+    /// The connection was lost or could not be made, for this number of times since the last one that lasted.
     Disconnected { attempt: u32, reason: String },
     /// The broker does not take a message.
     Denied { reason: String },

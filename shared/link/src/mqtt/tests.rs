@@ -182,6 +182,62 @@ fn a_client_with_a_session_publishes_before_its_subscriptions_are_granted_again(
     }
 }
 
+/// Serves each connection up to the grant of its subscriptions, and ends it after `life`. Returns the number of connections
+/// within `time`, and what the client tells.
+fn connections_that_end_after(life: Duration, time: Duration) -> (u32, Vec<TransportEvent>) {
+    let listener = TcpListener::bind("127.0.0.1:0").unwrap();
+    let address = BrokerAddress::plain("127.0.0.1", listener.local_addr().unwrap().port());
+    let count = Arc::new(AtomicU32::new(0));
+    let counted = Arc::clone(&count);
+    std::thread::spawn(move || {
+        for stream in listener.incoming() {
+            counted.fetch_add(1, Ordering::Relaxed);
+            let mut stream = stream.unwrap();
+            read_packet(&mut stream).unwrap();
+            stream.write_all(&[0x20, 3, 0, 0, 0]).unwrap();
+            let (_, body) = read_packet(&mut stream).unwrap();
+            stream.write_all(&[0x90, 5, body[0], body[1], 0, 1, 1]).unwrap();
+            std::thread::sleep(life);
+        }
+    });
+    let (site, device) = (SiteId::new("site").unwrap(), DeviceId::new("drone").unwrap());
+    let identity = Identity { site, device, session: 1, role: Role::Device };
+    let mut transport =
+        MqttTransport::start(MqttConfig { broker: address, identity, will: None, tls: None, login: None });
+    let end = std::time::Instant::now() + time;
+    let left = || end.checked_duration_since(std::time::Instant::now());
+    let told = std::iter::from_fn(|| transport.poll(left()?)).collect();
+    (count.load(Ordering::Relaxed), told)
+}
+
+/// As of two programs of one name, whose broker ends the older connection of each without a reason.
+#[test]
+fn connections_that_break_at_once_get_rarer_and_the_reason_is_told() {
+    let (count, told) = connections_that_end_after(Duration::ZERO, Duration::from_secs(2));
+    assert!((4..=7).contains(&count), "{count} connections: {told:?}");
+    let lost = |event: &TransportEvent| match event {
+        TransportEvent::Disconnected { attempt, reason } => Some((*attempt, reason.contains("same name"))),
+        _ => None,
+    };
+    let lost: Vec<_> = told.iter().filter_map(lost).collect();
+    assert!(lost.iter().zip(1..).all(|(&(attempt, _), number)| attempt == number), "{lost:?}");
+    assert!(!lost[0].1 && lost[2..].iter().all(|&(_, is_told)| is_told), "{lost:?}");
+}
+
+/// A line that breaks again and again is used again at once.
+#[test]
+fn connections_that_last_a_moment_do_not_get_rarer() {
+    let (count, told) = connections_that_end_after(Duration::from_millis(200), Duration::from_secs(2));
+    assert!(count >= 6, "{count} connections: {told:?}");
+    let is_first = |event: &TransportEvent| match event {
+        TransportEvent::Disconnected { attempt, reason } => {
+            *attempt == 1 && reason.ends_with("connection lost")
+        }
+        _ => true,
+    };
+    assert!(told.iter().all(is_first), "{told:?}");
+}
+
 /// Breaks twice within the first message: a message that the line cannot carry keeps back all that follow.
 #[test]
 fn a_client_drops_a_session_whose_first_message_never_gets_through() {

@@ -48,6 +48,11 @@ pub enum TrafficError {
 /// What a recording tells of its connection.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub enum ConnectionNews {
+    /// There is no connection yet. The recording tries again a few times.
+    NotYet {
+        /// The broker's address and the error.
+        reason: String,
+    },
     /// The connection was lost, or there is another reason why it is not back. The recording tries again without end.
     Lost {
         /// The broker's address and the error.
@@ -85,11 +90,11 @@ pub fn record(
         Filter { path: filter.to_owned(), qos: QoS::AtLeastOnce, preserve_retain: true, ..Filter::default() };
     let client = Client::start(settings(broker, tls, login, "record", vec![filter]));
     let (start, mut count) = (Instant::now(), 0);
-    let (mut flushed_at, mut connection) = (start, Connection::Never);
+    let (mut flushed_at, mut connection) = (start, Connection::Never(None));
     while !is_stopping.load(Ordering::Relaxed) {
         if let Some(event) = client.poll(TICK) {
             connection.follow(&event).into_iter().for_each(&mut tell);
-            let is_new = connection == Connection::Never;
+            let is_new = matches!(connection, Connection::Never(_));
             if let Some(entry) = entry(event, start.elapsed(), is_new)? {
                 count += u64::from(recorder.add(&entry).map_err(TrafficError::Write)?);
             }
@@ -135,8 +140,8 @@ pub fn replay(
 /// The connection of a recording.
 #[derive(Debug, PartialEq, Eq)]
 enum Connection {
-    /// There was none yet.
-    Never,
+    /// There was none yet, for the reason that was told last, if any was.
+    Never(Option<String>),
     Up,
     /// It is lost, for the reason that was told last.
     Lost(String),
@@ -146,7 +151,7 @@ impl Connection {
     /// Notes an event. Returns what is to be told: of attempts that fail alike, only the first.
     fn follow(&mut self, event: &ClientEvent) -> Option<ConnectionNews> {
         match (&*self, event) {
-            (Self::Never, ClientEvent::Connected) => {
+            (Self::Never(_), ClientEvent::Connected) => {
                 *self = Self::Up;
                 None
             }
@@ -154,7 +159,13 @@ impl Connection {
                 *self = Self::Up;
                 Some(ConnectionNews::Back)
             }
-            (Self::Never, _) => None,
+            (Self::Never(told), ClientEvent::Disconnected { reason, .. })
+                if told.as_ref() != Some(reason) =>
+            {
+                *self = Self::Never(Some(reason.clone()));
+                Some(ConnectionNews::NotYet { reason: reason.clone() })
+            }
+            (Self::Never(_), _) => None,
             (Self::Lost(told), ClientEvent::Disconnected { reason, .. }) if told == reason => None,
             (_, ClientEvent::Disconnected { reason, .. }) => {
                 *self = Self::Lost(reason.clone());

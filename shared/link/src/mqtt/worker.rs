@@ -28,6 +28,13 @@ const RECONNECT: Backoff = Backoff::new(Duration::from_millis(50), Duration::fro
 const ACKNOWLEDGEMENT_TIMEOUT: Duration = Duration::from_secs(if cfg!(test) { 1 } else { 30 });
 /// The slowest line on which messages are still waited for, bytes per second.
 const SLOWEST_LINE: f64 = 1000.0;
+/// A connection that breaks within this time, or within [`LASTING_PAUSES`] times the pause before it, has not lasted, and the
+/// next pause is twice as long. Two programs of one name end each other's connections after the pause of the other, which may
+/// be twice as long as the own one.
+const LASTING: Duration = Duration::from_millis(150);
+const LASTING_PAUSES: u32 = 4;
+/// After so many connections in a row that did not last, the client tells what is likely.
+const BROKEN_AT_ONCE: u32 = 3;
 /// After so many connections that broke within the first message, the client asks the broker to drop what it has kept: a
 /// message that the line cannot carry would keep back all that follow.
 const FRUITLESS_MAX: u32 = 2;
@@ -45,8 +52,15 @@ pub(super) struct Worker {
     in_flight: InFlight,
     /// When the broker last acknowledged a message.
     acknowledged: Instant,
+    /// Number of failures since the last connection that lasted.
     attempt: u32,
     reconnect: Backoff,
+    /// Number of the last connections that did not last.
+    broken_at_once: u32,
+    /// Pauses after connections that did not last.
+    pauses: Backoff,
+    /// The last such pause; zero if the last connection had lasted.
+    pause: Duration,
     is_dropping: bool,
     /// Number of the last connections that broke within a message before any message had arrived whole.
     fruitless: u32,
@@ -67,6 +81,9 @@ struct Line {
     is_caught_up: bool,
     /// Whether a message has arrived.
     is_fruitful: bool,
+    /// Whether the broker serves the client: it has granted the subscriptions, or sent a message before.
+    is_served: bool,
+    opened: Instant,
     /// Interval in which at least one packet is sent.
     keep_alive: Duration,
     /// When a ping was sent that nothing has followed.
@@ -89,6 +106,9 @@ impl Worker {
             acknowledged: Instant::now(),
             attempt: 0,
             reconnect: RECONNECT,
+            broken_at_once: 0,
+            pauses: RECONNECT,
+            pause: Duration::ZERO,
             is_dropping: false,
             fruitless: 0,
             denied: BTreeSet::new(),
@@ -115,9 +135,13 @@ impl Worker {
         while let Err(fault) = self.serve().await {
             self.shared.drop_bulk();
             self.attempt += 1;
+            let fault = match self.broken_at_once {
+                times @ BROKEN_AT_ONCE.. => fault.after_breaks(times),
+                _ => fault,
+            };
             let reason = format!("broker {}: {fault}", self.settings.broker);
             self.deliver(ClientEvent::Disconnected { attempt: self.attempt, reason }).await;
-            let delay = self.reconnect.delay();
+            let delay = self.reconnect.delay().max(self.pause);
             if self.unless_stopping(sleep(delay)).await.is_none() {
                 return;
             }
@@ -133,15 +157,28 @@ impl Worker {
         if line.is_ready {
             self.on_ready(&mut line).await;
         }
-        if self.settings.filters.is_empty() {
-            self.reconnect.reset();
-        }
         let served = self.keep(&mut line).await;
         match line.is_fruitful {
             true => self.fruitless = 0,
             false => self.fruitless += u32::from(served.is_err() && line.connection.is_within_packet()),
         }
+        self.judge(&line);
         served
+    }
+
+    /// Notes whether a connection that has ended had lasted.
+    fn judge(&mut self, line: &Line) {
+        if !line.is_served {
+            return;
+        }
+        self.reconnect.reset();
+        if line.opened.elapsed() < LASTING.max(LASTING_PAUSES * self.pause) {
+            self.broken_at_once += 1;
+            self.pause = self.pauses.delay();
+            return;
+        }
+        (self.attempt, self.broken_at_once, self.pause) = (0, 0, Duration::ZERO);
+        self.pauses.reset();
     }
 
     /// Receives and sends over a connection, until the client is dropped.
@@ -196,6 +233,8 @@ impl Worker {
             has_session: ack.session_present,
             is_caught_up: !ack.session_present,
             is_fruitful: false,
+            is_served: filters.is_empty(),
+            opened: Instant::now(),
             keep_alive: Duration::from_secs(keep_alive_s.max(1).into()),
             pinged: None,
             in_flight_max: said.and_then(|said| said.receive_max),
@@ -212,7 +251,6 @@ impl Worker {
         }
         self.shared.settle(before - self.in_flight.len());
         self.acknowledged = now;
-        self.attempt = 0;
         self.deliver(ClientEvent::Connected).await;
     }
 
@@ -220,7 +258,7 @@ impl Worker {
         match packet {
             Packet::SubAck(ack) if !is_granted(&ack) => return Err(Fault::Subscriptions),
             Packet::SubAck(_) => {
-                self.reconnect.reset();
+                line.is_served = true;
                 if !line.is_ready {
                     self.on_ready(line).await;
                 }
@@ -230,8 +268,8 @@ impl Worker {
                 self.on_acknowledgement(&ack).await;
             }
             Packet::Publish(message) => {
-                // The line works, even if it breaks before the subscriptions are granted.
-                self.reconnect.reset();
+                // Even if the line breaks before the subscriptions are granted.
+                line.is_served = true;
                 line.is_fruitful = true;
                 let (id, qos) = (message.pkid, message.qos);
                 if line.is_caught_up || !is_old_want(&message) {
