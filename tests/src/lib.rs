@@ -9,7 +9,8 @@
 //!   process, and certificates for it. [`nats`], [`s3`]: a NATS server and an S3 server as child processes.
 //! - [`datasets`]: synthetic cities and the datasets that benches use. [`programs`]: the paths of the programs that
 //!   cargo has built. [`running`]: such a program beside a test. [`dice`]: random numbers. [`mutate`]: changed samples.
-//! - [`chromium`]: a headless browser. [`axe`]: checks of its pages for people without a mouse or a screen.
+//! - [`site`]: a service with a page, and its devices. [`chromium`]: a headless browser. [`axe`]: checks of its pages for
+//!   people without a mouse or a screen.
 //! - [`wine`]: programs for Windows under Wine.
 //! - [`usage`]: the memory and time that a child process takes.
 //! - [`slow_line`]: a line to a broker that is slow and breaks.
@@ -42,6 +43,7 @@ pub mod radio;
 pub mod results;
 pub mod running;
 pub mod s3;
+pub mod site;
 pub mod skips;
 pub mod slow_line;
 pub mod stranger;

@@ -5,74 +5,23 @@
 
 use std::fs;
 use std::io::{Read, Write};
-use std::net::{SocketAddr, TcpListener, TcpStream};
+use std::net::{SocketAddr, TcpStream};
 use std::path::{Path, PathBuf};
 use std::sync::atomic::{AtomicBool, Ordering};
 use std::thread::{self, sleep};
 use std::time::{Duration, Instant};
 
 use cosurf_contract::{AgentPhase, AgentStatus};
-use cosurf_link::{
-    MqttConfig, MqttTransport, Offer, Outgoing, PublishError, Role, Transport, TransportEvent,
-};
+use cosurf_link::{MqttTransport, Outgoing, PublishError, Transport};
 use cosurf_tests::axe::Axe;
 use cosurf_tests::chromium::{Chromium, decode_base64};
-use cosurf_tests::live::upload;
-use cosurf_tests::offers::{broker_address, identity, mergeable_offer};
 use cosurf_tests::running::{PATIENCE, Running};
+use cosurf_tests::site::{Site, await_log, await_page};
 use cosurf_tests::usage::peak_bytes;
-use cosurf_wire::{DeviceId, ModelId, SiteId, Topic};
+use cosurf_wire::{DeviceId, SiteId, Topic};
 
 /// The aggregator says every 5 s that it lives, and the page waits for 12 s.
 const LOST_WITHIN: Duration = Duration::from_secs(60);
-
-/// A service with a page, whose folder and addresses outlive its program.
-struct Site {
-    folder: tempfile::TempDir,
-    broker: SocketAddr,
-    page: SocketAddr,
-}
-
-impl Site {
-    fn new() -> Self {
-        let [broker, page] =
-            [(); 2].map(|()| TcpListener::bind("127.0.0.1:0").unwrap().local_addr().unwrap());
-        let folder = tempfile::tempdir().unwrap();
-        let text = format!(
-            "site = \"site\"\nout = \"out\"\nbind = \"{broker}\"\nquorum = 1\nquiet_s = 0\nrefine = false\n"
-        );
-        fs::write(folder.path().join("aggregator.toml"), text).unwrap();
-        Self { folder, broker, page }
-    }
-
-    fn start(&self) -> Running {
-        Running::start("cosurf-aggregator", self.folder.path(), &["run", "--http", &self.page.to_string()])
-    }
-
-    fn start_without_page(&self) -> Running {
-        Running::start("cosurf-aggregator", self.folder.path(), &["run"])
-    }
-
-    /// A client of the broker, once it is connected.
-    fn client(&self) -> MqttTransport {
-        let identity = identity(Role::Device, "teller");
-        let broker = broker_address(self.broker);
-        let mut transport =
-            MqttTransport::start(MqttConfig { broker, identity, will: None, tls: None, login: None });
-        let begun = Instant::now();
-        while transport.poll(Duration::from_millis(50)) != Some(TransportEvent::Connected) {
-            assert!(begun.elapsed() < PATIENCE);
-        }
-        transport
-    }
-
-    /// Uploads a model of `count` splats under this number.
-    fn upload(&self, device: &str, number: u64, count: usize) {
-        let mut offer: Offer = mergeable_offer(device, count);
-        offer.header.model = ModelId(number);
-        upload(broker_address(self.broker), None, identity(Role::Device, device), offer, |_| (), |_| ());
-    }
-}
 
 /// Publishes the status of a device as its agent would.
 fn tell(transport: &mut MqttTransport, device: &str, step: u32) {
@@ -90,28 +39,10 @@ fn tell(transport: &mut MqttTransport, device: &str, step: u32) {
     }
 }
 
-/// Waits until a condition holds in the page. Returns how long that took.
-fn await_page(browser: &Chromium, condition: &str, within: Duration) -> Duration {
-    let begun = Instant::now();
-    while !browser.holds(condition) {
-        assert!(begun.elapsed() < within, "{condition}: {:?}", browser.complaints());
-        sleep(Duration::from_millis(50));
-    }
-    begun.elapsed()
-}
-
-fn await_log(program: &Running, text: &str) {
-    let begun = Instant::now();
-    while !program.log().contains(text) {
-        assert!(begun.elapsed() < PATIENCE, "{text}: {}", program.log());
-        sleep(Duration::from_millis(20));
-    }
-}
-
 #[test]
 fn the_page_follows_a_site_and_finds_it_again() {
     let Some(browser) = Chromium::start([1100, 900]) else { return };
-    let site = Site::new();
+    let site = Site::at_once();
     let program = site.start();
     browser.open(&program.page());
     let mut client = site.client();
@@ -145,10 +76,11 @@ fn the_page_follows_a_site_and_finds_it_again() {
 fn the_page_of_a_mission_shows_progress_and_model_in_time() {
     let Some(browser) = Chromium::start([1100, 900]) else { return };
     let folder = tempfile::tempdir().unwrap();
-    let town = ["town", "data", "--size", "96", "--views", "48"];
+    let data = folder.path().join("data").display().to_string();
+    let town = ["town", &data, "--size", "96", "--views", "48"];
     let (has_town, log) = Running::start("cosurf-aggregator", folder.path(), &town).end();
     assert!(has_town, "{log}");
-    let mission = ["mission", "--data", "data", "--agents", "2", "--steps", "300", "--http", "127.0.0.1:0"];
+    let mission = ["mission", "--data", &data, "--agents", "2", "--steps", "300", "--http", "127.0.0.1:0"];
     let program = Running::start("cosurf-aggregator", folder.path(), &mission);
     browser.open(&program.page());
     let page: SocketAddr = program.page().split('/').nth(2).unwrap().parse().unwrap();
@@ -171,6 +103,18 @@ fn the_page_of_a_mission_shows_progress_and_model_in_time() {
     assert!(progress < Duration::from_secs(2) && model < Duration::from_secs(5), "{progress:?} {model:?}");
     let devices = browser.value("cosurf.then((viewer) => viewer.scene.devices.map(({name}) => name))");
     assert_eq!(devices, serde_json::json!(["agent-1", "agent-2"]));
+    let (has_flown, log) = program.end();
+    assert!(has_flown, "{log}");
+    the_report_names_no_folder(&browser, folder.path());
+}
+
+/// A client gets the report, also its part for engineers: where the files of the mission were is nobody's business.
+fn the_report_names_no_folder(browser: &Chromium, folder: &Path) {
+    browser.open(&format!("file://{}", folder.join("out/report.html").display()));
+    let whole = "document.documentElement.outerHTML";
+    assert!(browser.holds(&format!("{whole}.includes('2 agents over')")), "the engineers' part is there");
+    let name = folder.file_name().unwrap().to_str().unwrap();
+    assert!(browser.holds(&format!("!{whole}.includes('{name}')")), "{name} is in the report");
 }
 
 /// A second revision is offered, and the first one can be seen beside it.
@@ -289,7 +233,7 @@ fn everything_is_reached_by_keyboard(browser: &Chromium) {
 fn pages_have_no_serious_fault_on_any_screen() {
     let Some(browser) = Chromium::start([1100, 900]) else { return };
     let Some(axe) = Axe::installed() else { return };
-    let site = Site::new();
+    let site = Site::at_once();
     let program = site.start();
     // A device without a model comes first in the tables.
     tell(&mut site.client(), "a-drone", 5);
@@ -400,7 +344,7 @@ fn contains(text: &[u8], part: &str) -> bool {
 /// read for seconds gets what it has missed in few events.
 #[test]
 fn two_hundred_devices_and_fifty_readers() {
-    let site = Site::new();
+    let site = Site::at_once();
     let program = site.start();
     program.page();
     let mut client = site.client();
@@ -441,7 +385,7 @@ fn two_hundred_devices_and_fifty_readers() {
 
 /// How long the merge of a model takes, seconds; with a page, beside a crowd of devices and readers.
 fn merge_s(has_page: bool) -> f64 {
-    let site = Site::new();
+    let site = Site::at_once();
     let program = if has_page { site.start() } else { site.start_without_page() };
     let mut client = site.client();
     if has_page {

@@ -221,12 +221,19 @@ class Viewer {
     }
   }
 
+  toldOfPhotograph() {
+    return `The view of photograph ${this.photograph + 1} of ${this.scene.cameras.length}.`;
+  }
+
   /** Does what a button or key asks for. */
   does(name, value) {
     const { walk, scene } = this;
     if (name === 'layer') this.takeLayer(value);
     if (name === 'walk') walk.isWalking = !walk.isWalking;
-    if (name === 'reset') walk.reset();
+    if (name === 'reset') {
+      walk.reset();
+      if (this.told.textContent === this.toldOfPhotograph()) this.tell('');
+    }
     if (name in MEASURES || name === 'clear') {
       [this.measuring, this.points] = [name === 'clear' || this.measuring === name ? null : name, []];
       this.chart.replaceChildren();
@@ -238,7 +245,7 @@ class Viewer {
       const count = scene.cameras.length;
       this.photograph = (this.photograph + (name === 'before' ? count - 1 : 1) + (this.photograph < 0 && name === 'before')) % count;
       walk.takePlace(scene.cameras[this.photograph]);
-      this.tell(`The view of photograph ${this.photograph + 1} of ${count}.`);
+      this.tell(this.toldOfPhotograph());
     }
     if (name === 'save') this.save();
     this.press();
