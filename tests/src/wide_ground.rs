@@ -13,12 +13,12 @@ const ACROSS: usize = 320;
 const SPACING_M: f32 = 0.3;
 
 /// Puts the models `other-0`, `other-1`, … into the folder of a service, each of 96 × 96 m with its corner in the south-west
-/// here, metres, in the frame `site`. Returns the number of splats.
-pub fn write_models(out: &Path, corners: &[[f32; 2]]) -> usize {
+/// here, metres, in the frame `site`. Their harmonics have this degree, 1 to 3. Returns the number of splats.
+pub fn write_models(out: &Path, corners: &[[f32; 2]], sh_degree: u32) -> usize {
     let (store, _) = ModelStore::open(&out.join("models")).unwrap();
     let mut count = 0;
     for (i, corner) in corners.iter().enumerate() {
-        let (splats, cameras) = ground(*corner);
+        let (splats, cameras) = ground(*corner, sh_degree);
         let device = DeviceId::new(&format!("other-{i}")).unwrap();
         let offer = Offer::new(device, ModelId(1), ModelKind::Local, 16, &splats, &cameras);
         let Offer { mut header, body } = offer.unwrap();
@@ -30,12 +30,12 @@ pub fn write_models(out: &Path, corners: &[[f32; 2]]) -> usize {
 }
 
 /// Flat opaque ground, and cameras above it.
-fn ground([west, south]: [f32; 2]) -> (Splats, Vec<Camera>) {
-    let mut splats = Splats::with_capacity(ACROSS * ACROSS, 1);
+fn ground([west, south]: [f32; 2], sh_degree: u32) -> (Splats, Vec<Camera>) {
+    let mut splats = Splats::with_capacity(ACROSS * ACROSS, sh_degree);
     for i in 0..ACROSS * ACROSS {
         let (x, y) = (west + SPACING_M * (i % ACROSS) as f32, south + SPACING_M * (i / ACROSS) as f32);
         let shade = 0.5 + 0.3 * (0.7 * x).sin() * (0.5 * y).cos();
-        let mut sh = [0.01; 12];
+        let mut sh = vec![0.01; 3 * (sh_degree as usize + 1).pow(2)];
         for (of, value) in sh.iter_mut().zip([shade, 0.6 * shade, 1.0 - shade]) {
             *of = (value - 0.5) / SH_C0;
         }

@@ -24,7 +24,7 @@ const CITY_M: f32 = 40.0;
 fn write_others(out: &Path) -> usize {
     let places = (0..25).map(|i| [i % 5, i / 5]).filter(|at| *at != [2, 2]).skip(1);
     let corners: Vec<[f32; 2]> = places.map(|at| at.map(|step| PITCH_M * (step as f32 - 2.5))).collect();
-    write_models(out, &corners)
+    write_models(out, &corners, 1)
 }
 
 /// A ground station; killed when dropped.

@@ -23,10 +23,10 @@ const ROOM: Room = Room {
     splats: None,
     first_splats: Some(FIRST_SPLATS),
 };
-/// A model with more splats is shown in tiles if devices get it in tiles: a page loads those near the camera, and of the whole so
-/// many splats, the most important ones.
+/// A model with more splats, or one that does not fit, is shown in tiles if devices get it in tiles: a page loads those near the
+/// camera, and of the whole as many splats as fit and at most so many, the most important ones.
 const UNTILED_SPLATS_MAX: usize = 1_000_000;
-const BASE_SPLATS: usize = 400_000;
+const BASE_SPLATS_MAX: usize = 400_000;
 /// For states, maps, events and connections.
 const OTHER_BYTES: u64 = 8 << 20;
 /// Limit on the memory of the page of a running site, bytes: a model that is being read, the two that are shown, and the
@@ -104,11 +104,17 @@ impl Models {
 /// The newest revision in the folder of a service, and its tiles if it is shown in tiles.
 fn newest_of(folder: &Path, revision: u64) -> Result<(Walkable, Option<SentTiles>), WalkableError> {
     let splats_of = |tiles: &SentTiles| tiles.boxes().map(|(splats, _)| splats).sum::<usize>();
-    let tiles = SentTiles::read(folder).filter(|tiles| splats_of(tiles) > UNTILED_SPLATS_MAX);
-    let splats = tiles.as_ref().map(|_| BASE_SPLATS);
-    let model = Walkable::read(folder, Room { splats, ..ROOM })?.with_devices(contributions(folder));
+    let tiles = SentTiles::read(folder);
+    let base = Room { splats: Some(BASE_SPLATS_MAX), ..ROOM };
+    let is_large = tiles.as_ref().is_some_and(|tiles| splats_of(tiles) > UNTILED_SPLATS_MAX);
+    let mut model = Walkable::read(folder, if is_large { base } else { ROOM })?;
+    let [shown, all] = model.shown();
     // Between two revisions they may be of the other one.
-    let tiles = tiles.filter(|tiles| splats_of(tiles) == model.shown()[1]);
+    let tiles = tiles.filter(|tiles| shown < all && splats_of(tiles) == all);
+    if tiles.is_some() && shown > BASE_SPLATS_MAX {
+        model = Walkable::read(folder, base)?; // it almost fits, and must leave room for tiles
+    }
+    let model = model.with_devices(contributions(folder));
     Ok(match tiles {
         Some(tiles) => (model.with_tiles(revision, tiles.boxes()), Some(tiles)),
         None => (model, None),
