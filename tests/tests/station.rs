@@ -64,7 +64,12 @@ fn the_page_follows_a_site_and_finds_it_again() {
     everything_is_reached_by_keyboard(&browser);
     assert_eq!(browser.complaints(), [""; 0]);
     drop((program, client));
+    browser.run("scrollTo(0, document.documentElement.scrollHeight)");
     await_page(&browser, "!document.querySelector('#lost').hidden", LOST_WITHIN);
+    assert!(browser.holds("scrollY > 300"), "the page is long enough to scroll");
+    let is_seen = "(({top, bottom}) => top >= 0 && bottom <= innerHeight)\
+                   (document.querySelector('#lost').getBoundingClientRect())";
+    assert!(browser.holds(is_seen), "the banner is in the window");
     fs::remove_file(site.folder.path().join("cosurf-aggregator.log")).unwrap();
     let _again = site.start();
     let found = "document.querySelector('#lost').hidden && document.querySelector('#devices').innerText.includes('drone-1')";
