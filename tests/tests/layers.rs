@@ -5,8 +5,9 @@
 
 use cosurf_link::Offer;
 use cosurf_scene::splats::SH_C0;
-use cosurf_scene::{Camera, Pose, Splats};
+use cosurf_scene::{Camera, LocalFrame, Pose, Splats, ply};
 use cosurf_tests::chromium::Chromium;
+use cosurf_tests::models::random_splats;
 use cosurf_tests::running::{PATIENCE, Running};
 use cosurf_tests::site::{Site, await_log, await_page};
 use cosurf_wire::{DeviceId, ModelId, ModelKind};
@@ -32,6 +33,20 @@ fn layers_go_on_while_revisions_come() {
     what_is_told_goes_with_what_is_shown(&browser);
     the_legend_lists_devices_of_the_revision_before(&browser, &program);
     assert_eq!(browser.complaints(), [""; 0]);
+}
+
+/// Splats that cannot be drawn are not said to be left out for the sake of the page's size.
+#[test]
+fn broken_splats_are_told_as_such() {
+    let Some(browser) = Chromium::start([600, 500]) else { return };
+    let folder = tempfile::tempdir().unwrap();
+    let mut splats = random_splats(1, 300, 0);
+    (0..7).for_each(|i| splats.means[40 * i][0] = f32::NAN);
+    ply::write(&folder.path().join("broken.ply"), &splats, &LocalFrame::WORLD).unwrap();
+    let program = Running::start("cosurf-aggregator", folder.path(), &["view", "broken.ply"]);
+    browser.open(&program.page());
+    let told = browser.value("cosurf.then(({told}) => told.textContent)");
+    assert_eq!(told, "7 splats of the file cannot be shown: infinite or not a number.");
 }
 
 /// The model of a device, of flat ground beside that of the device before, which overlaps it.

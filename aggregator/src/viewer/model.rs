@@ -11,7 +11,7 @@ use serde::Serialize;
 
 use super::error::WalkableError;
 use super::lie::Lie;
-use super::room::{Room, encode, first_of, read};
+use super::room::{Read, Room, encode, first_of, read};
 use crate::colors::device_color;
 use crate::service::Contribution;
 
@@ -49,8 +49,10 @@ struct Scene {
     splats: usize,
     /// Number of splats in the first part; 0 if there is none.
     first_splats: usize,
-    /// Number of splats of the whole model.
+    /// Number of splats of the whole model, without the broken ones.
     of_splats: usize,
+    /// Number of splats of the file that no viewer can draw: infinite, or not a number.
+    broken_splats: usize,
 }
 
 /// A device whose photographs show the model.
@@ -128,6 +130,7 @@ struct Source {
     /// The splats in `frame`: all, or the most important ones.
     splats: Splats,
     of_splats: usize,
+    broken_splats: usize,
     frame: LocalFrame,
     world_cameras: Vec<Camera>,
     geo: Option<Geodetic>,
@@ -159,12 +162,12 @@ impl Walkable {
             false => Vec::new(),
         };
         let geo = Georeference::of_folder(beside)?.map(|georeference| georeference.origin);
-        let (splats, of_splats, frame) = read(&path, &world_cameras, room)?;
+        let Read { splats, of_splats, broken_splats, frame } = read(&path, &world_cameras, room)?;
         // A path like `.` has no name of its own.
         let whole = model.canonicalize().unwrap_or_else(|_| model.to_owned());
         let name =
             whole.file_name().map_or_else(|| "model".into(), |name| name.to_string_lossy().into_owned());
-        Self::of(Source { name, path, splats, of_splats, frame, world_cameras, geo }, room)
+        Self::of(Source { name, path, splats, of_splats, broken_splats, frame, world_cameras, geo }, room)
     }
 
     /// Reads a stored revision of a service's global model. `folder` is that of the service. A revision that takes more than
@@ -189,11 +192,12 @@ impl Walkable {
         let world_cameras = model.cameras.iter().map(|camera| frame.world_camera(camera)).collect();
         let geo = Georeference::of_folder(folder)?.map(|georeference| georeference.origin);
         let name = format!("revision {}", key.model);
-        Self::of(Source { name, path, splats: model.splats, of_splats, frame, world_cameras, geo }, room)
+        let (splats, broken_splats) = (model.splats, 0); // what a service stores is checked
+        Self::of(Source { name, path, splats, of_splats, broken_splats, frame, world_cameras, geo }, room)
     }
 
     fn of(source: Source, room: Room) -> Result<Self, WalkableError> {
-        let Source { name, path, splats, of_splats, frame, world_cameras, geo } = source;
+        let Source { name, path, splats, of_splats, broken_splats, frame, world_cameras, geo } = source;
         if splats.is_empty() {
             return Err(WalkableError::Nothing { path });
         }
@@ -218,6 +222,7 @@ impl Walkable {
             splats: splats.len(),
             first_splats,
             of_splats,
+            broken_splats,
         };
         Ok(Self { scene, spz, first, frame, lie, means: splats.means, cameras })
     }
@@ -317,7 +322,7 @@ impl Walkable {
         self.lie.area.map(|area| area * self.frame.unit().powi(2))
     }
 
-    /// Number of splats that are shown, and number of splats of the whole model.
+    /// Number of splats that are shown, and number of splats of the whole model, without the broken ones.
     pub fn shown(&self) -> [usize; 2] {
         [self.scene.splats, self.scene.of_splats]
     }
@@ -416,6 +421,25 @@ mod tests {
         let [shown, of] = small.shown();
         assert!(small.spz().len() <= limit && shown > of / 4 && of == model().len(), "{shown} of {of}");
         check_western(&small, folder.path());
+    }
+
+    /// Broken splats are not left out to keep a page small.
+    #[test]
+    fn broken_splats_are_counted_apart() {
+        let folder = tempfile::tempdir().unwrap();
+        let path = folder.path().join("broken.ply");
+        let mut splats = model();
+        splats.means[7][0] = f32::NAN;
+        splats.log_scales[9][1] = f32::INFINITY;
+        ply::write(&path, &splats, &LocalFrame::WORLD).unwrap();
+        let usable = splats.len() - 2;
+        let whole = Walkable::read(&path, Room::UNLIMITED).unwrap();
+        assert_eq!((whole.shown(), whole.scene.broken_splats), ([usable; 2], 2));
+        // All usable ones fit although all of the file do not.
+        let just = Walkable::read(&path, Room { splats: Some(usable + 1), ..Room::UNLIMITED }).unwrap();
+        assert_eq!((just.shown(), just.scene.broken_splats), ([usable; 2], 2));
+        let few = Walkable::read(&path, Room { splats: Some(usable / 2), ..Room::UNLIMITED }).unwrap();
+        assert_eq!((few.shown(), few.scene.broken_splats), ([usable / 2, usable], 2));
     }
 
     #[test]

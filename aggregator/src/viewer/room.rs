@@ -42,12 +42,19 @@ impl Room {
     }
 }
 
-/// The splats of a file, or its most important ones if the memory is small; the number of all; and their frame.
-pub(super) fn read(
-    path: &Path,
-    cameras: &[Camera],
-    room: Room,
-) -> Result<(Splats, usize, LocalFrame), WalkableError> {
+/// The splats of a file for the viewer.
+pub(super) struct Read {
+    /// All usable splats, or the most important ones of them if the memory is small, in `frame`.
+    pub(super) splats: Splats,
+    /// Number of usable splats of the file.
+    pub(super) of_splats: usize,
+    /// Number of splats that no viewer can draw: infinite, or not a number.
+    pub(super) broken_splats: usize,
+    pub(super) frame: LocalFrame,
+}
+
+/// Reads the splats of a file.
+pub(super) fn read(path: &Path, cameras: &[Camera], room: Room) -> Result<Read, WalkableError> {
     let frame = match cameras {
         [] => LocalFrame::at(model::origin(path)?),
         cameras => LocalFrame::of(cameras.iter()),
@@ -55,14 +62,22 @@ pub(super) fn read(
     let (count, sh_degree) = model::size(path)?;
     let most = room.splats_max(sh_degree);
     if count <= most {
-        return Ok((model::read(path, &frame)?, count, frame));
+        let splats = model::read(path, &frame)?;
+        let of_splats = splats.len();
+        return Ok(Read { splats, of_splats, broken_splats: count - of_splats, frame });
     }
     let mut importances = Vec::with_capacity(count);
     model::read_parts(path, &frame, READ_AT_ONCE, |part| importances.extend(plain_importance(part)))?;
-    let least = least_of(importances, most);
-    let mut kept = Splats::with_capacity(most, sh_degree);
-    model::read_parts(path, &frame, READ_AT_ONCE, |part| keep(part, least, most, &mut kept))?;
-    Ok((kept, count, frame))
+    let of_splats = importances.len();
+    let splats = if of_splats <= most {
+        model::read(path, &frame)?
+    } else {
+        let least = least_of(importances, most);
+        let mut kept = Splats::with_capacity(most, sh_degree);
+        model::read_parts(path, &frame, READ_AT_ONCE, |part| keep(part, least, most, &mut kept))?;
+        kept
+    };
+    Ok(Read { splats, of_splats, broken_splats: count - of_splats, frame })
 }
 
 /// The most important splats of some; `None` if there are not more than twice as many, which is not worth a part of its own.

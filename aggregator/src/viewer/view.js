@@ -282,6 +282,16 @@ class Viewer {
   }
 }
 
+/** What the viewer tells of a loaded model: how many splats it shows, and why not all. Nothing if a small model is shown whole. */
+function partsOf({ splats, of_splats: all, broken_splats: broken, tiles }, isLarge) {
+  const parts = [];
+  if (tiles) parts.push(`${splats} of ${all} splats, the most important ones; near the camera all of them are loaded.`);
+  else if (splats < all) parts.push(`To keep this page small, it shows ${splats} of ${all} splats, the most important ones.`);
+  else if (isLarge) parts.push(`${splats} splats.`);
+  if (broken) parts.push(`${broken === 1 ? '1 splat' : `${broken} splats`} of the file cannot be shown: infinite or not a number.`);
+  return parts;
+}
+
 /** Starts the viewer of the page. Resolves to the Viewer, or to undefined if it cannot run; the page then tells why. */
 async function startViewer() {
   const section = document.querySelector('.viewer');
@@ -297,8 +307,8 @@ async function startViewer() {
       viewer.takeModel(model);
       if (scene.tiles) viewer.takeTiles(model);
     }
-    const isPart = scene.splats < scene.of_splats;
-    if (rest.length || isPart) viewer.tell(scene.tiles ? `${scene.splats} of ${scene.of_splats} splats, the most important ones; near the camera all of them are loaded.` : isPart ? `To keep this page small, it shows ${scene.splats} of ${scene.of_splats} splats, the most important ones.` : `${scene.splats} splats.`);
+    const parts = partsOf(scene, rest.length > 0);
+    if (parts.length) viewer.tell(parts.join(' '));
     return viewer;
   } catch (error) {
     // The first part is shown already if only the rest could not be loaded.
