@@ -284,7 +284,8 @@ fn show(progress: &MergeProgress) {
     let mut stderr = io::stderr().lock();
     if stderr.is_terminal() {
         let MergeProgress { step, steps, psnr } = progress;
-        let _ = write!(stderr, "\rstep {step} of {steps} · {psnr:.2} dB "); // write errors are ignored: the merge goes on
+        let psnr = psnr.map_or_else(String::new, |psnr| format!("· {psnr:.2} dB "));
+        let _ = write!(stderr, "\rstep {step} of {steps} {psnr}"); // write errors are ignored: the merge goes on
     }
 }
 

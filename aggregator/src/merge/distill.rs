@@ -38,9 +38,9 @@ pub struct MergeProgress {
     pub step: u32,
     /// Number of distillation steps in all.
     pub steps: u32,
-    /// PSNR of the last step on this computer, dB: the merged model's rendering against the local model's. 0 before the
-    /// first one.
-    pub psnr: f64,
+    /// PSNR of the last step on this computer, dB: the merged model's rendering against the local model's. Absent before
+    /// the first one, and if none is done here because results are reused or workers distil.
+    pub psnr: Option<f64>,
 }
 
 /// The result of a distillation.
@@ -85,10 +85,10 @@ pub(super) fn distill(
             learn_or_find(&task, &site.scratch, &computer, by.store(), tell)
         },
     };
-    let (mut done, mut last_psnr) = (0, 0.0);
+    let (mut done, mut last_psnr) = (0, None);
     let mut note = |new: Noted| {
         match new {
-            Noted::Step(psnr) => (done, last_psnr) = (done + 1, psnr),
+            Noted::Step(psnr) => (done, last_psnr) = (done + 1, Some(psnr)),
             Noted::Whole(index) => done += settings.epochs * plans.sizes[index].lessons,
             Noted::Nothing => {}
         }

@@ -146,8 +146,15 @@ fn what_no_model_changes_is_not_computed_again() {
     let first = run(&neighbours());
     let tiles = first.summary.tiles;
     assert!(tiles >= 3 && first.summary.known_tiles == 0, "{:?}", first.summary);
-    let mut again = run(&neighbours());
+    let mut told = Vec::new();
+    let mut note = |progress| {
+        told.push(progress);
+        ControlFlow::Continue(())
+    };
+    let mut again = with_store(&neighbours(), &store, &mut note).unwrap();
     assert_eq!(again.summary.known_tiles, tiles);
+    let is_reused = |progress: &MergeProgress| progress.psnr.is_none();
+    assert!(told.last().unwrap().step > 0 && told.iter().all(is_reused), "no step, no PSNR: {told:?}");
     again.summary.known_tiles = 0;
     assert_eq!(again, first);
 

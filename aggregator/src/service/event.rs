@@ -206,7 +206,8 @@ impl fmt::Display for ServiceEvent {
                 )
             }
             Self::Merging(MergeProgress { step, steps, psnr }) => {
-                write!(f, "merging, step {step} of {steps}: PSNR {psnr:.2} dB against the local models")
+                write!(f, "merging, step {step} of {steps}")?;
+                psnr.iter().try_for_each(|psnr| write!(f, ": PSNR {psnr:.2} dB against the local models"))
             }
             Self::Withdrawn { device } => write!(f, "{device} is withdrawn"),
             Self::Revoked { device } => write!(f, "{device} is revoked: its messages do not count"),
@@ -257,5 +258,17 @@ impl fmt::Display for ServiceEvent {
             ),
             Self::Ignored { reason } => write!(f, "ignored: {reason}"),
         }
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn a_merge_that_distils_nothing_tells_no_quality() {
+        let merging = |psnr| ServiceEvent::Merging(MergeProgress { step: 4, steps: 9, psnr }).to_string();
+        assert_eq!(merging(None), "merging, step 4 of 9");
+        assert_eq!(merging(Some(20.125)), "merging, step 4 of 9: PSNR 20.12 dB against the local models");
     }
 }

@@ -364,7 +364,7 @@ mod tests {
         board.note_status(device("a"), AgentStatus::new(300, "1"));
         board.note_status(device("b"), AgentStatus::new(300, "1"));
         let kept_out = KeptOut { device: "b".into(), model: 1, reason: "contradicts a".into() };
-        board.note_service(&ServiceEvent::Merging(MergeProgress { step: 1, steps: 9, psnr: 20.0 }));
+        board.note_service(&ServiceEvent::Merging(MergeProgress { step: 1, steps: 9, psnr: Some(20.0) }));
         assert_eq!(board.state().merge.unwrap().steps, 9);
         board.note_service(&ServiceEvent::NothingMerged { kept_out: vec![kept_out] });
         let state = board.state();
