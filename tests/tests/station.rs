@@ -138,14 +138,13 @@ fn revisions_are_compared(browser: &Chromium, site: &Site, program: &Running) {
         "cosurf.then(async (viewer) => { const {scene, comparison} = viewer; \
          for (const its of [scene, comparison.scene]) { const {arrived_s} = its.devices[0]; \
            if (!(Math.abs(Date.now() / 1000 - arrived_s) < 600)) throw new Error(`it arrived at ${arrived_s}`); } \
-         const [red, green, blue] = scene.devices[0].color; \
+         const color = scene.devices[0].color; const brightest = Math.max(...color); \
          const share = ({gl}) => { const [width, height] = [gl.canvas.width, gl.canvas.height]; \
            const pixels = new Uint8Array(4 * width * height); \
            gl.readPixels(0, 0, width, height, gl.RGBA, gl.UNSIGNED_BYTE, pixels); let [lit, its] = [0, 0]; \
-           for (let i = 0; i < pixels.length; i += 4) { const [r, g, b] = pixels.subarray(i, i + 3); \
-             if (Math.max(r, g, b) < 60) continue; lit++; \
-             const apart = [g / r - green / red, b / r - blue / red].map(Math.abs); \
-             if (Math.max(...apart) < 0.1) its++; } \
+           for (let i = 0; i < pixels.length; i += 4) { const pixel = pixels.subarray(i, i + 3); \
+             const bright = Math.max(...pixel); if (bright < brightest / 4) continue; lit++; \
+             if (color.every((value, k) => Math.abs(pixel[k] / bright - value / brightest) < 0.1)) its++; } \
            return its / lit; }; \
          const camera = viewer.walk.camera([300, 200]); const result = []; \
          for (const layer of [0, 4]) { viewer.section.querySelector('[data-value=\"4\"]').hidden = false; \
