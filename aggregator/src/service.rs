@@ -86,7 +86,7 @@ pub use folder::{global_ply, senders};
 pub(crate) use folder::{global_store, write_joined};
 pub use receive::Service;
 pub use record::{Contribution, FitRecord, Fitted, KeptOut, Merging, contributions, withdraw};
-pub(crate) use record::{file_hash, remove};
+pub(crate) use record::{file_hash, remove, withdrawn};
 pub use reporting::{ReportError, ReportTask, Reported, Reporter};
 pub(crate) use restore::record_of;
 pub use restore::{OldRevision, RestoreError, ask_to_release, ask_to_restore, old_revisions};

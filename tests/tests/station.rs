@@ -60,6 +60,7 @@ fn the_page_follows_a_site_and_finds_it_again() {
     revisions_are_compared(&browser, &site, &program);
     the_operator_acts(&browser, &site);
     an_older_revision_is_restored(&browser, &site, &program);
+    a_device_is_withdrawn(&browser, &site, &program);
     a_device_is_revoked(&browser, &site, &program);
     everything_is_reached_by_keyboard(&browser);
     assert_eq!(browser.complaints(), [""; 0]);
@@ -199,6 +200,29 @@ fn an_older_revision_is_restored(browser: &Chromium, site: &Site, program: &Runn
     await_page(browser, &format!("!{}", summary("it repeats")), PATIENCE);
     let record = fs::read_to_string(site.folder.path().join("out/actions.jsonl")).unwrap();
     assert_eq!(record.matches("\"restore revision 1\",\"outcome\":\"done\"").count(), 1, "{record}");
+}
+
+/// Forgets a device, which is then no active one in the table and in the choices, until it sends another model.
+fn a_device_is_withdrawn(browser: &Chromium, site: &Site, program: &Running) {
+    site.upload("drone-3", 1, 2200);
+    await_log(program, "from 2 models");
+    let of_device =
+        "[...document.querySelectorAll('#devices tr')].find((row) => row.innerText.includes('drone-3'))";
+    let chosen =
+        "[...document.querySelectorAll('#forget-device option')].find((it) => it.value === 'drone-3')";
+    await_page(browser, &format!("{chosen}?.textContent === 'drone-3'"), PATIENCE);
+    browser.run("document.querySelector('#forget-device').value = 'drone-3'; document.querySelector('#forget').click()");
+    await_log(program, "drone-3 is withdrawn");
+    await_page(browser, &format!("{of_device}?.innerText.includes('withdrawn')"), PATIENCE);
+    assert!(browser.holds(&format!("{of_device}.className === 'silent'")));
+    assert!(browser.holds(&format!("{chosen}.textContent === 'drone-3 (withdrawn)'")));
+    assert!(
+        browser.holds("document.querySelector('#forget-device').value === 'drone-3'"),
+        "the choice stays"
+    );
+    site.upload("drone-3", 2, 2300);
+    await_page(browser, &format!("{chosen}?.textContent === 'drone-3'"), PATIENCE);
+    assert!(!browser.holds(&format!("{of_device}.innerText.includes('withdrawn')")));
 }
 
 /// Revokes a device that only tells how far it is. It says so, and is heard no more.

@@ -455,7 +455,7 @@ impl Keeper {
         self.revoke_devices(node)?;
         self.begin_to_restore(now)?;
         let withdrawn = self.shelf.withdraw_devices()?;
-        if withdrawn.is_some() {
+        if !withdrawn.is_empty() {
             let record = Merging::read(&self.folder);
             let is_shown = record.is_some_and(|record| self.shelf.has_withdrawn(&record.inputs));
             // Too few devices may be left for a quorum, and what is withdrawn must not stay for as long as the deadline.
@@ -464,11 +464,12 @@ impl Keeper {
                 _ => Round::extend(self.round.take(), now),
             });
         }
+        self.told.extend(withdrawn.into_iter().map(|device| ServiceEvent::Withdrawn { device }));
         if self.shelf.is_emptied() {
             (self.job, self.to_offer) = (None, false);
             self.withdraw_global(node)?;
         }
-        Ok(withdrawn.map(|device| ServiceEvent::Withdrawn { device }))
+        Ok(self.told.pop_front())
     }
 
     /// Lets the link ignore the devices that are revoked now.

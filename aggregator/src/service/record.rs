@@ -286,6 +286,11 @@ pub(crate) fn remove(path: &Path) -> Result<bool, SceneError> {
     }
 }
 
+/// The devices that were ever withdrawn from the service with this folder. Models that have arrived later count.
+pub(crate) fn withdrawn(folder: &Path) -> Result<Vec<DeviceId>, SceneError> {
+    Ok(ModelList::read_all(&folder.join(WITHDRAWN))?.into_keys().collect())
+}
+
 /// Withdraws a device from the service with this folder, whether the service is running or not. Models that have
 /// arrived from the device no longer count; later ones do.
 pub fn withdraw(folder: &Path, device: &DeviceId) -> Result<(), SceneError> {

@@ -172,18 +172,18 @@ impl Shelf {
         wanted.iter().filter_map(|header| take_part(&mut self.parts, node, header)).collect()
     }
 
-    /// Removes the models of withdrawn devices. Returns the first device of which a model or a part was removed.
-    pub(super) fn withdraw_devices(&mut self) -> Result<Option<DeviceId>, ServiceError> {
-        let mut first = None;
+    /// Removes the models of withdrawn devices. Returns the devices of which a model or a part was removed.
+    pub(super) fn withdraw_devices(&mut self) -> Result<Vec<DeviceId>, ServiceError> {
+        let mut withdrawn = Vec::new();
         for (device, mut listed) in ModelList::read_all(&self.folder.join(WITHDRAWN))? {
             if listed.asks {
                 self.list_models(device, &mut listed)?;
             }
             if self.withdraw(device, listed)? {
-                first = first.or(Some(device));
+                withdrawn.push(device);
             }
         }
-        Ok(first)
+        Ok(withdrawn)
     }
 
     /// Finds newest models whose files are missing or, if `reads_all`, damaged. They no longer count. Returns what is wrong

@@ -18,7 +18,7 @@ use tokio::sync::watch;
 use super::state::{DeviceState, Line, Revision, State};
 use crate::colors::device_css;
 use crate::merge::MergeProgress;
-use crate::service::{DeviceStatus, KeptOut, Merging, ServiceEvent, revoked, senders};
+use crate::service::{DeviceStatus, KeptOut, Merging, ServiceEvent, revoked, senders, withdrawn};
 
 /// Largest number of devices; further ones have no row.
 const DEVICES_MAX: usize = 1024;
@@ -76,6 +76,8 @@ struct Device {
     uploads: u64,
     kept_out: Option<String>,
     is_revoked: bool,
+    /// True if its models were withdrawn, and none has arrived since.
+    is_withdrawn: bool,
     /// The number of its newest change.
     changed: u64,
 }
@@ -101,6 +103,11 @@ impl Board {
         }
         for device in revoked(folder).unwrap_or_default() {
             notes.revoke(device, true);
+        }
+        for device in withdrawn(folder).unwrap_or_default() {
+            if let Some(its) = notes.device(device, DEVICES_MAX) {
+                its.is_withdrawn = its.model.is_none();
+            }
         }
         let state = Mutex::new(notes);
         let (changes, _) = watch::channel(1);
@@ -243,6 +250,7 @@ impl Device {
             model: self.model,
             uploads: self.uploads,
             is_revoked: self.is_revoked,
+            is_withdrawn: self.is_withdrawn,
             kept_out: self.kept_out.clone(),
         }
     }
@@ -287,6 +295,7 @@ impl Notes {
             ServiceEvent::Stored { header } => {
                 if let Some(device) = self.device(header.device, DEVICES_MAX) {
                     (device.model, device.uploads) = (Some(header.model.0), device.uploads + 1);
+                    device.is_withdrawn = false;
                 }
             }
             ServiceEvent::Merging(progress) => self.merge = Some(*progress),
@@ -304,7 +313,8 @@ impl Notes {
             }
             ServiceEvent::Withdrawn { device } => {
                 if let Some(its) = self.devices.get_mut(device) {
-                    (its.model, its.kept_out, its.changed) = (None, None, self.change);
+                    (its.model, its.kept_out, its.is_withdrawn) = (None, None, true);
+                    its.changed = self.change;
                 }
             }
             ServiceEvent::Revoked { device } => self.revoke(*device, true),
@@ -349,6 +359,7 @@ impl Notes {
 mod tests {
     #![allow(clippy::unwrap_used)]
     use super::*;
+    use crate::service::withdraw;
 
     fn device(name: &str) -> DeviceId {
         DeviceId::new(name).unwrap()
@@ -356,6 +367,27 @@ mod tests {
 
     fn board() -> Board {
         Board::new(Path::new("no such folder"))
+    }
+
+    #[test]
+    fn a_withdrawn_device_is_shown_as_one_until_its_next_model() {
+        let folder = tempfile::tempdir().unwrap();
+        let is_withdrawn = |board: &Board| {
+            let devices = board.state().devices;
+            devices.iter().find(|its| its.device == "a").is_some_and(|its| its.is_withdrawn)
+        };
+        let board = Board::new(folder.path());
+        board.note_status(device("a"), AgentStatus::new(300, "1"));
+        assert!(!is_withdrawn(&board));
+        withdraw(folder.path(), &device("a")).unwrap();
+        board.note_service(&ServiceEvent::Withdrawn { device: device("a") });
+        assert!(is_withdrawn(&board) && is_withdrawn(&Board::new(folder.path())), "over a restart, too");
+        let offer = cosurf_tests::offers::mergeable_offer("a", 50);
+        board.note_service(&ServiceEvent::Stored { header: offer.header });
+        assert!(!is_withdrawn(&board));
+        let (models, _) = ModelStore::open(&folder.path().join("models")).unwrap();
+        models.put(&offer.header, &offer.body).unwrap();
+        assert!(!is_withdrawn(&Board::new(folder.path())));
     }
 
     #[test]

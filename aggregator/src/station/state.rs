@@ -45,6 +45,8 @@ pub(super) struct DeviceState {
     pub(super) uploads: u64,
     /// True if the operator has revoked it.
     pub(super) is_revoked: bool,
+    /// True if the operator has withdrawn its models, and none has arrived since.
+    pub(super) is_withdrawn: bool,
     /// Why its model is kept out of the newest revision; absent if it is not.
     pub(super) kept_out: Option<String>,
 }

@@ -65,7 +65,8 @@ function show(state) {
   rows.show(devices);
   write(log);
   offer(revision);
-  choose(at('forget-device'), [...devices.keys()].sort());
+  const names = [...devices.keys()].sort();
+  choose(at('forget-device'), names, names.map(describeDevice));
   listRevisions(revision);
   drawMap();
 }
@@ -89,10 +90,18 @@ function offer(revision) {
 
 /** Lists choices, without losing the chosen one. `texts` tell what they are, if that is more than their names. */
 function choose(list, names, texts = names) {
-  if (list.children.length === names.length && names.every((name, i) => list.children[i].value === name)) return;
+  const isListed = (name, i) => list.children[i].value === name && list.children[i].textContent === String(texts[i]);
+  if (list.children.length === names.length && names.every(isListed)) return;
   const chosen = list.value;
   list.replaceChildren(...names.map((name, i) => Object.assign(element('option', texts[i]), { value: name })));
   if (names.includes(chosen)) list.value = chosen;
+}
+
+/** A device with what the operator has done to it. */
+function describeDevice(name) {
+  const { is_revoked: isRevoked, is_withdrawn: isWithdrawn } = devices.get(name);
+  const done = [isRevoked && 'revoked', isWithdrawn && 'withdrawn'].filter(Boolean);
+  return done.length ? `${name} (${done.join(', ')})` : name;
 }
 
 /** What a revision is, in the time of the browser's place. */

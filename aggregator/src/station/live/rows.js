@@ -28,6 +28,9 @@ const seconds = (s) => (s >= 5400 ? `${Math.round(s / 3600)} h` : s >= 120 ? `${
 const heardAgo = ({ heardAt }) => (heardAt === null ? null : (Date.now() - heardAt) / 1000);
 const isAlive = (device) => device.heardAt !== null && heardAgo(device) < SILENT_S && !['done', 'failed'].includes(device.status?.phase);
 
+/** The style of a device's row. */
+const kindOf = (device) => (isAlive(device) && !device.is_withdrawn ? '' : 'silent');
+
 /** A bar with a text over it. */
 function bar(cell, label, value, max, text) {
   const made = document.createElement('progress');
@@ -82,12 +85,12 @@ class Rows {
   }
 
   fill({ row, cells, dot }, device) {
-    const { status, curve: points, model, kept_out: keptOut, is_revoked: isRevoked } = device;
+    const { status, curve: points, model, kept_out: keptOut, is_revoked: isRevoked, is_withdrawn: isWithdrawn } = device;
     dot.style.background = device.color;
-    row.className = isAlive(device) ? '' : 'silent';
+    row.className = kindOf(device);
     this.age({ cells }, device);
     cells.model.textContent = model ?? '–';
-    cells.remarks.textContent = [isRevoked && 'revoked', keptOut && `kept out: ${keptOut}`, status?.problem].filter(Boolean).join('; ');
+    cells.remarks.textContent = [isRevoked && 'revoked', isWithdrawn && 'withdrawn', keptOut && `kept out: ${keptOut}`, status?.problem].filter(Boolean).join('; ');
     cells.remarks.className = cells.remarks.textContent ? 'remarks warn' : 'remarks';
     if (!status) return;
     cells.phase.textContent = status.phase;
@@ -111,7 +114,7 @@ class Rows {
       const device = devices.get(name);
       if (!device) continue;
       this.age(row, device);
-      row.row.className = isAlive(device) ? '' : 'silent';
+      row.row.className = kindOf(device);
     }
   }
 }
