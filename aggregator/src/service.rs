@@ -15,7 +15,7 @@
 //! | `handed/` | what the agents get of the model of the aggregator above, if there is one: [`above`] |
 //! | `withdrawn/` | a file for each withdrawn device, with the numbers and hashes of its models that no longer count |
 //! | `revisions/` | for each revision in `global/`, what it was merged from: [`restore`] |
-//! | `restore` | the number of the revision that the operator wishes to restore |
+//! | `restore` | what the operator wishes: the number of a revision to restore, or a merge, a line each; `restore.lock` guards it |
 //! | `held` | the number of the restored revision, as long as no merge may replace it |
 //! | `revoked/` | a file for each revoked device: [`revoked`] |
 //! | `replaced/` | a file for each device that has sent many models, with those that were removed as outdated |

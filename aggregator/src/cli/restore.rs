@@ -31,12 +31,12 @@ pub(crate) fn run(args: &RestoreArgs) -> Result<()> {
     let mut out = io::stdout().lock();
     if let Some(revision) = args.revision {
         ask_to_restore(&folder, revision)?;
-        writeln!(out, "revision {revision} is restored in {}", folder.display())?;
+        writeln!(out, "revision {revision} is to be restored in {}", folder.display())?;
         return Ok(());
     }
     if args.release {
         ask_to_release(&folder)?;
-        writeln!(out, "all models are merged in {}", folder.display())?;
+        writeln!(out, "all models are to be merged in {}", folder.display())?;
         return Ok(());
     }
     let revisions = old_revisions(&folder)?;

@@ -6,7 +6,7 @@
 //!
 //! What it knows nothing about: how a revision is read and sent.
 
-use std::fs;
+use std::fs::{self, File};
 use std::io::ErrorKind;
 use std::path::{Path, PathBuf};
 
@@ -20,8 +20,13 @@ use super::folder::{global_store, written_s};
 use super::model_list::{ModelList, any_listed};
 use super::record::{Merging, WITHDRAWN, remove};
 
-/// The file with the number of the revision that is wished, or with [`RELEASE`], inside the folder of the service.
-const WISH: &str = "restore";
+/// The file with the wishes, inside the folder of the service: a line for each, oldest first, with the number of a revision or
+/// [`RELEASE`].
+pub(super) const WISHES: &str = "restore";
+/// The file that is locked while the wishes are changed, inside the folder of the service.
+pub(super) const WISHES_LOCK: &str = "restore.lock";
+/// Largest number of wishes that wait. Each waits for the one before it, and a merge may take hours.
+const WISHES_MAX: usize = 16;
 /// The file with the number of the older revision that the newest one is a copy of, inside the folder of the service. It is
 /// there as long as no merge may replace the copy, and outlasts damage to the files of the copy.
 pub(super) const HELD: &str = "held";
@@ -44,8 +49,17 @@ pub(super) enum Wish {
     Restore(u64),
     /// Let a merge replace the restored revision.
     Release,
-    /// The file is damaged.
+    /// Its line in the file is damaged.
     Unreadable,
+}
+
+impl Wish {
+    fn of(line: &str) -> Self {
+        match line {
+            RELEASE => Self::Release,
+            number => number.parse().map_or(Self::Unreadable, Self::Restore),
+        }
+    }
 }
 
 /// A revision that can be restored.
@@ -84,6 +98,9 @@ pub enum RestoreError {
     /// A device whose models it was merged from has been forgotten since.
     #[error("revision {0} was merged from models of a device that was forgotten since")]
     Withdrawn(u64),
+    /// Too many wishes wait.
+    #[error("{WISHES_MAX} restores and merges that were asked for still wait; ask again once some are done")]
+    Busy,
     /// A file cannot be read or written.
     #[error(transparent)]
     File(#[from] SceneError),
@@ -113,14 +130,15 @@ pub(crate) fn record_of(folder: &Path, revision: u64) -> Option<Merging> {
     record.filter(|record| record.revision == revision)
 }
 
-/// Asks the service with this folder to restore a revision, whether it is running or not.
+/// Asks the service with this folder to restore a revision, whether it is running or not. What was asked for before is done
+/// before.
 pub fn ask_to_restore(folder: &Path, revision: u64) -> Result<(), RestoreError> {
     let found = find(folder, revision).and_then(|(key, _)| {
         let read = ModelStore::beside(&global_store(folder)).get(key);
         read.map(drop).map_err(|_| RestoreError::Damaged(revision))
     });
     match found {
-        Ok(()) => Ok(ask_again(folder, revision)?),
+        Ok(()) => add_wish(folder, &revision.to_string()),
         Err(error) => Err(RestoreError::Instead(Box::new(error), others(folder, revision))),
     }
 }
@@ -134,31 +152,64 @@ pub(super) fn others(folder: &Path, revision: u64) -> String {
     format!("others that can be restored: {others}")
 }
 
-/// As [`ask_to_restore`], for a revision that can be restored.
+/// As [`ask_to_restore`], for a revision that can be restored, and before all that was asked for.
 pub(super) fn ask_again(folder: &Path, revision: u64) -> Result<(), SceneError> {
-    atomic::write_bytes(&folder.join(WISH), revision.to_string().as_bytes())
+    change_wishes(folder, |wishes| wishes.insert(0, revision.to_string()))
 }
 
-/// Asks the service with this folder to let its next merge, which begins at once, replace a restored revision.
-pub fn ask_to_release(folder: &Path) -> Result<(), SceneError> {
-    atomic::write_bytes(&folder.join(WISH), RELEASE.as_bytes())
+/// Asks the service with this folder to let its next merge, which begins at once, replace a restored revision. What was asked for
+/// before is done before.
+pub fn ask_to_release(folder: &Path) -> Result<(), RestoreError> {
+    add_wish(folder, RELEASE)
 }
 
-/// What the operator wishes.
+/// Adds a wish to those that wait. One that is the last already is not added: it was asked for twice.
+fn add_wish(folder: &Path, wish: &str) -> Result<(), RestoreError> {
+    let mut is_full = false;
+    change_wishes(folder, |wishes| {
+        let is_there = wishes.last().is_some_and(|last| last == wish);
+        is_full = !is_there && wishes.len() >= WISHES_MAX;
+        if !is_there && !is_full {
+            wishes.push(wish.to_owned());
+        }
+    })?;
+    if is_full { Err(RestoreError::Busy) } else { Ok(()) }
+}
+
+/// What the operator wishes first.
 pub(super) fn wish(folder: &Path) -> Result<Option<Wish>, SceneError> {
-    let bytes = match files::read(&folder.join(WISH)) {
-        Err(SceneError::Io { cause, .. }) if cause.kind() == ErrorKind::NotFound => return Ok(None),
-        bytes => bytes?,
-    };
-    Ok(Some(match std::str::from_utf8(&bytes).unwrap_or_default().trim() {
-        RELEASE => Wish::Release,
-        number => number.parse().map_or(Wish::Unreadable, Wish::Restore),
-    }))
+    Ok(wishes(folder)?.first().map(|line| Wish::of(line)))
 }
 
-/// Removes a wish that is fulfilled or cannot be.
+/// Removes the first wish, which is fulfilled or cannot be.
 pub(super) fn end_wish(folder: &Path) -> Result<(), SceneError> {
-    remove(&folder.join(WISH)).map(drop)
+    change_wishes(folder, |wishes| _ = wishes.drain(..wishes.len().min(1)))
+}
+
+/// The lines of the wishes that wait, oldest first.
+fn wishes(folder: &Path) -> Result<Vec<String>, SceneError> {
+    match files::read(&folder.join(WISHES)) {
+        Err(SceneError::Io { cause, .. }) if cause.kind() == ErrorKind::NotFound => Ok(Vec::new()),
+        bytes => Ok(String::from_utf8_lossy(&bytes?).lines().map(|line| line.trim().to_owned()).collect()),
+    }
+}
+
+/// Changes the wishes that wait, while no other program does.
+fn change_wishes(folder: &Path, change: impl FnOnce(&mut Vec<String>)) -> Result<(), SceneError> {
+    let path = folder.join(WISHES_LOCK);
+    let failed = |cause| SceneError::io(&path, cause);
+    let lock = File::options().create(true).append(true).open(&path).map_err(failed)?;
+    lock.lock().map_err(failed)?;
+    let before = wishes(folder)?;
+    let mut wishes = before.clone();
+    change(&mut wishes);
+    if wishes == before {
+        return Ok(());
+    }
+    match wishes.is_empty() {
+        true => remove(&folder.join(WISHES)).map(drop),
+        false => atomic::write_bytes(&folder.join(WISHES), wishes.join("\n").as_bytes()),
+    }
 }
 
 /// Notes that a revision which repeats this one stays.

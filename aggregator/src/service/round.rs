@@ -62,6 +62,11 @@ impl Round {
         Self { is_ended: true, ..Self::extend(round, now) }
     }
 
+    /// Whether the operator has ended the round.
+    pub(super) fn is_at_once(&self) -> bool {
+        self.is_ended
+    }
+
     /// Begins a round, or extends `round`, because a model of `device` has arrived.
     pub(super) fn extend_by(round: Option<Self>, device: DeviceId, now: Duration) -> Self {
         match round {

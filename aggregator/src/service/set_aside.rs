@@ -11,7 +11,7 @@ use super::checked;
 use super::event::ServiceEvent;
 use super::folder::{MADE_FILES, REPORT_FILES, global_ply};
 use super::record::{MERGED, Merging, file_hash};
-use super::restore::HELD;
+use super::restore::{HELD, WISHES, WISHES_LOCK};
 use super::trial::{READING, SUSPECTS};
 
 /// Sets aside what an earlier run or somebody else has left in the place of the service's own files, and cannot be used.
@@ -28,7 +28,7 @@ pub(super) fn set_aside_files(folder: &Path) -> Result<Vec<ServiceEvent>, SceneE
             _ => Ok(()),
         })?);
     }
-    for name in REPORT_FILES.into_iter().chain([READING]) {
+    for name in REPORT_FILES.into_iter().chain([READING, WISHES, WISHES_LOCK]) {
         told.extend(set_aside_unless(&folder.join(name), |_| Ok(()))?);
     }
     for name in [MERGED, SUSPECTS, HELD] {

@@ -15,7 +15,7 @@ use crate::service::restore::{self, Wish};
 use crate::service::round::Round;
 
 impl Keeper {
-    /// Begins to restore the revision that the operator wishes. A running merge is stopped.
+    /// Begins with what the operator wishes first. A restore stops a running merge, unless the operator has asked for that merge.
     pub(super) fn begin_to_restore(&mut self, now: Duration) -> Result<(), ServiceError> {
         let revision = match restore::wish(&self.folder)? {
             None => return Ok(()),
@@ -28,9 +28,13 @@ impl Keeper {
             }
             Some(Wish::Release) => {
                 self.merge_at_once(now);
+                self.owes_merge = true;
                 return Ok(restore::end_wish(&self.folder)?);
             }
         };
+        if self.owes_merge() {
+            return Ok(());
+        }
         let is_running = |(job, _): &(Job, Duration)| {
             job.restores.as_ref().is_some_and(|record| record.revision == revision)
         };
@@ -48,6 +52,18 @@ impl Keeper {
             Err(error) => self.refuse_wish(revision, &error)?,
         }
         Ok(())
+    }
+
+    /// Whether the merge that the operator has asked for in the wish before is still to come or running.
+    fn owes_merge(&mut self) -> bool {
+        self.owes_merge &=
+            self.round.as_ref().is_some_and(Round::is_at_once) || self.job.is_some() || self.to_offer;
+        self.owes_merge
+    }
+
+    /// Notes that a merge has ended. If it began before the operator asked for one, that is still to come.
+    pub(super) fn end_owed_merge(&mut self) {
+        self.owes_merge &= self.round.as_ref().is_some_and(Round::is_at_once);
     }
 
     pub(super) fn refuse_wish(
@@ -88,9 +104,18 @@ impl Keeper {
     }
 
     /// Ends the wait for more models, and lets the merge replace a restored revision.
-    pub(super) fn merge_at_once(&mut self, now: Duration) {
+    fn merge_at_once(&mut self, now: Duration) {
         self.let_go();
         self.round = Some(Round::at_once(self.round.take(), now));
+    }
+
+    /// Lets the operator wish a merge, behind what was wished before.
+    pub(super) fn wish_merge(&mut self, now: Duration) {
+        self.withdrawals_at = now; // looks at the wishes at once
+        if let Err(error) = restore::ask_to_release(&self.folder) {
+            let reason = format!("no merge is begun: {error}");
+            self.told.push_back(ServiceEvent::DiskFailed { reason });
+        }
     }
 
     /// Lets the next merge replace a restored revision.

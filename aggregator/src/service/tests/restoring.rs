@@ -77,6 +77,45 @@ fn a_restored_revision_reaches_every_drone_and_stays_until_a_merge_is_asked_for(
     assert!(Merging::read(path).unwrap().restored_from.is_none());
 }
 
+/// Wishes within the second that the service takes to notice: all are fulfilled, one after the other, and a merge that was asked
+/// for is not stopped although it takes longer than that second.
+#[test]
+fn wishes_are_fulfilled_in_their_order() {
+    let folder = tempfile::tempdir().unwrap();
+    let path = folder.path();
+    let network = MemoryNetwork::new(67, Faults::NONE);
+    let (mut ground, mut drones) = with_two_revisions(&network, path);
+    ask_to_restore(path, 1).unwrap();
+    simulate(&network, &mut ground, &mut drones, |events, _| count(events, is_restored) == 1);
+    assert_eq!((revision(&ground), splats(path)), (3, 900));
+    ask_to_release(path).unwrap();
+    ask_to_restore(path, 1).unwrap();
+    ask_to_restore(path, 1).unwrap();
+    ask_to_restore(path, 2).unwrap();
+    let mut events = Vec::new();
+    while count(&events, is_restored) < 2 {
+        step(&network, &mut ground, &mut drones, &mut events);
+        // Time goes on while a merge runs, unlike in other tests.
+        network.advance(network.now() + Duration::from_millis(20));
+    }
+    let from: Vec<u64> = events
+        .iter()
+        .filter_map(|event| match event {
+            ServiceEvent::Restored { from, .. } => Some(*from),
+            _ => None,
+        })
+        .collect();
+    assert_eq!(from, [1, 2], "{events:?}");
+    assert_eq!(count(&events, is_merged), 3, "a merge of all models, and two restored ones: {events:?}");
+    assert_eq!((revision(&ground), splats(path)), (6, 1600));
+    for _ in 0..8 {
+        ask_to_release(path).unwrap();
+        ask_to_restore(path, 1).unwrap();
+    }
+    assert!(matches!(ask_to_release(path), Err(RestoreError::Busy)));
+    ask_to_restore(path, 1).unwrap(); // the last one already
+}
+
 #[test]
 fn ground_of_a_forgotten_device_is_not_restored_and_does_not_stay() {
     let folder = tempfile::tempdir().unwrap();
