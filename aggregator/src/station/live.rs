@@ -2,6 +2,8 @@
 //! actions.
 
 use std::convert::Infallible;
+use std::error::Error;
+use std::iter::successors;
 use std::net::IpAddr;
 use std::sync::{Arc, Mutex, PoisonError};
 use std::time::Duration;
@@ -285,7 +287,14 @@ async fn merge(State(live): State<Live>, Extension(by): Extension<Peer>, request
 async fn body_of(request: Request) -> Result<Bytes, (StatusCode, &'static str)> {
     let body = timeout(BODY_WITHIN, to_bytes(request.into_body(), BODY_BYTES_MAX));
     let slow = |_| (StatusCode::REQUEST_TIMEOUT, "the body of the request came too slowly\n");
-    body.await
-        .map_err(slow)?
-        .map_err(|_| (StatusCode::PAYLOAD_TOO_LARGE, "the body of the request is too large\n"))
+    body.await.map_err(slow)?.map_err(|error| match is_broken(&error) {
+        true => (StatusCode::BAD_REQUEST, "the body of the request is broken\n"),
+        false => (StatusCode::PAYLOAD_TOO_LARGE, "the body of the request is too large\n"),
+    })
+}
+
+/// Whether a body could not be read, because a chunk is broken or the connection has ended. Otherwise it is too large.
+fn is_broken(error: &axum::Error) -> bool {
+    let first: &(dyn Error + 'static) = error;
+    successors(Some(first), |error| (*error).source()).any(|error| error.is::<hyper::Error>())
 }

@@ -179,6 +179,29 @@ fn large_and_slow_requests_end_the_connection() {
 }
 
 #[test]
+fn a_broken_chunk_is_told_apart_from_a_large_body() {
+    let site = Site::start("127.0.0.1:0");
+    let token = site.token.as_str();
+    for path in ["/api/forget", "/api/merge"] {
+        for (body, told) in [("ZZZ\r\n{}\r\n0\r\n\r\n", 400), ("2000\r\n", 413)] {
+            let mut stream = TcpStream::connect(site.address()).unwrap();
+            stream.set_read_timeout(Some(Duration::from_secs(20))).unwrap();
+            let more = if told == 413 { "x".repeat(0x2000) + "\r\n0\r\n\r\n" } else { String::new() };
+            let request = format!(
+                "POST {path} HTTP/1.1\r\nHost: localhost\r\nAuthorization: Bearer {token}\r\n\
+                 Transfer-Encoding: chunked\r\n\r\n{body}{more}"
+            );
+            stream.write_all(request.as_bytes()).unwrap();
+            let mut answer = Vec::new();
+            let _ = stream.read_to_end(&mut answer);
+            let answer = String::from_utf8_lossy(&answer);
+            assert_eq!(status(&answer), told, "{path}: {answer}");
+        }
+    }
+    assert!(site.done.lock().unwrap().is_empty());
+}
+
+#[test]
 fn a_thousand_idle_connections_keep_nobody_out() {
     let site = Site::start("127.0.0.1:0");
     let mut reader = TcpStream::connect(site.address()).unwrap();
