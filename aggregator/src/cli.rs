@@ -2,10 +2,11 @@
 //! its arguments, calls the library and prints the result.
 //!
 //! What it knows nothing about: how results are computed. What several commands ask the computer for, such as the
-//! number of cores, is in [`host`].
+//! number of cores, is in [`host`]; at which addresses a browser opens what they serve, in [`address`].
 //!
 //! Where to start reading: any command. Each has a file of the same name; `record` and `replay` are in `tap`.
 
+pub(crate) mod address;
 pub(crate) mod arguments;
 pub(crate) mod convert;
 pub(crate) mod doctor;

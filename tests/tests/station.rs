@@ -77,6 +77,26 @@ fn the_page_follows_a_site_and_finds_it_again() {
     await_page(&browser, found, LOST_WITHIN);
 }
 
+/// The printed address of a page for all networks can be opened.
+#[test]
+fn a_page_for_all_networks_is_printed_as_addresses_that_open() {
+    let site = Site::at_once();
+    let folder = site.folder.path();
+    let program = Running::start("cosurf-aggregator", folder, &["run", "--http", "0.0.0.0:0"]);
+    program.page();
+    sleep(Duration::from_millis(200)); // for further lines
+    let log = program.log();
+    let urls: Vec<&str> = log.lines().filter_map(|line| line.strip_prefix("http://")).collect();
+    assert!(urls.last().unwrap().starts_with("127.0.0.1:"), "{log}");
+    for url in urls {
+        let (host, rest) = url.split_once('/').unwrap();
+        let address: SocketAddr = host.parse().unwrap();
+        assert!(!address.ip().is_unspecified() && rest.starts_with("?token="), "{log}");
+        let answer = read(address, &format!("/{rest}"), Duration::ZERO, |_| false);
+        assert!(answer.starts_with(b"HTTP/1.1 303"), "{}", String::from_utf8_lossy(&answer));
+    }
+}
+
 /// The page of a mission shows the first progress within two seconds of the first event, and the merged model within five of
 /// its revision, as the browser gets it.
 #[test]

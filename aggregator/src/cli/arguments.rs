@@ -10,6 +10,8 @@ use clap::Args;
 use cosurf_aggregator::service::{AggregatorConfig, Command, ask_to_restore, revoke, withdraw};
 use cosurf_aggregator::station::{Act, Action, Board, Server, Token, serve_site};
 
+use super::address::urls;
+
 /// The option that names the configuration file of a service.
 #[derive(Args)]
 pub(crate) struct ConfigArgs {
@@ -56,7 +58,7 @@ impl HttpArgs {
         self.http.is_some()
     }
 
-    /// Serves the service or mission in a folder, if an address is given, and prints the address to standard error. With
+    /// Serves the service or mission in a folder, if an address is given, and prints its addresses to standard error. With
     /// `orders`, the commands of a running service, the operator can act.
     pub(crate) fn serve(&self, folder: &Path, orders: Option<Sender<Command>>) -> Result<Option<ServedSite>> {
         let Some(address) = self.http else { return Ok(None) };
@@ -64,7 +66,7 @@ impl HttpArgs {
         let board = Board::new(folder);
         let act = orders.map(|orders| act_on(folder.to_owned(), orders));
         let server = serve_site(address, &token, board.clone(), act)?;
-        eprintln!("http://{}/?token={}", server.address(), token.as_str());
+        eprint!("{}", urls(server.address(), Some(&token)));
         Ok(Some(ServedSite { board, _server: server }))
     }
 }

@@ -13,10 +13,12 @@ use cosurf_aggregator::viewer::{FIRST_SPLATS, Room, Walkable};
 use cosurf_contract::counted;
 use cosurf_scene::{model, ply};
 
+use super::address::urls;
+
 /// Show a model in a browser: walk through it, measure, and read coordinates.
 ///
 /// Serves the model until it is stopped with Ctrl-C, and prints the address. The browser needs WebGL 2 and no internet.
-/// An address that other computers reach is printed with a token, which they need.
+/// Addresses that other computers reach are printed with a token, which they need.
 #[derive(Args)]
 pub(crate) struct ViewArgs {
     /// The model: a PLY or SPZ file, or the folder of a training, a merge or a mission
@@ -46,13 +48,10 @@ pub(crate) fn run(args: &ViewArgs) -> Result<()> {
     .context("cannot install the Ctrl-C handler")?;
     let server = serve_model(args.http, &token, model)?;
     let address = server.address();
-    let shown = match address.ip().is_loopback() {
-        true => format!("http://{address}/"),
-        false => format!("http://{address}/?token={}", token.as_str()),
-    };
+    let needed = (!address.ip().is_loopback()).then_some(&token);
     let mut stdout = io::stdout().lock();
     writeln!(stdout, "{}", counted(splats, "splat"))?;
-    writeln!(stdout, "{shown}")?;
+    write!(stdout, "{}", urls(address, needed))?;
     stdout.flush()?;
     let _ = stopped.recv();
     Ok(())
