@@ -11,7 +11,7 @@ use std::sync::mpsc::{Receiver, TryRecvError};
 use std::time::Duration;
 
 use cosurf_link::{DEVICES_MAX, Damaged, ModelKey, ModelStore, Node, NodeEvent, Offer, Receiver as Listed};
-use cosurf_scene::{Camera, SceneError, camera_list, ply};
+use cosurf_scene::{Camera, SceneError, Splats, camera_list, check_space, ply};
 use cosurf_wire::{BodyHash, DeviceId, ModelHeader, ModelId, ModelKind, RefusalReason, TileId, WireError};
 
 use super::above::{Above, AboveLink};
@@ -336,7 +336,11 @@ impl Keeper {
         }
         if let Err(error) = self.shelf.put(header, body) {
             node.store_failed(key);
-            return ServiceEvent::DiskFailed { reason: format!("model {key} is not stored: {error}") };
+            let reason = match check_space(&self.folder, header.body_bytes) {
+                Err(full) => full.to_string(),
+                Ok(()) => error.to_string(),
+            };
+            return ServiceEvent::DiskFailed { reason: format!("model {key} is not stored: {reason}") };
         }
         node.stored(key);
         self.round = Some(Round::extend_by(self.round.take(), header.device, now));
@@ -634,6 +638,9 @@ impl Keeper {
                 offer.header = global;
             }
             _ => {
+                let Splats { means, sh_degree, .. } = &model.splats;
+                let viewers_bytes = ply::file_bytes(means.len(), *sh_degree, &frame);
+                check_space(&self.folder, offer.header.body_bytes + viewers_bytes)?;
                 self.globals.put(&offer.header, &offer.body)?;
                 self.remove_old_revisions()?;
             }

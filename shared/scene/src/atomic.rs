@@ -8,7 +8,8 @@ use std::io::{self, BufWriter, Write};
 use std::path::{Path, PathBuf};
 use std::sync::atomic::{AtomicU64, Ordering};
 
-use crate::SceneError;
+use crate::files::is_full_disk;
+use crate::{SceneError, check_space};
 
 /// Size of the write buffer, bytes; a larger buffer brings no measurable gain.
 const BUFFER_BYTES: usize = 256 * 1024;
@@ -39,7 +40,19 @@ pub fn check(path: &Path) -> Result<(), SceneError> {
 
 /// As [`write()`], with a content that is in memory.
 pub fn write_bytes(path: &Path, content: &[u8]) -> Result<(), SceneError> {
-    write(path, |file| file.write_all(content))
+    write_sized(path, content.len() as u64, |file| file.write_all(content))
+}
+
+/// As [`write()`], with a content of so many bytes. If the disk is too full for it, the error tells how much is free.
+pub fn write_sized(
+    path: &Path,
+    content_bytes: u64,
+    fill: impl FnOnce(&mut BufWriter<File>) -> io::Result<()>,
+) -> Result<(), SceneError> {
+    write(path, fill).map_err(|error| match is_full_disk(&error) {
+        true => check_space(folder_of(path), content_bytes).err().unwrap_or(error),
+        false => error,
+    })
 }
 
 /// Deletes the temporary files that remain in `folder` if a process was killed during [`write()`]. No
@@ -167,6 +180,21 @@ mod tests {
         assert!(text.contains("a.bin") && text.contains("the disk is full"), "{text}");
         assert_eq!(fs::read(&path).unwrap(), b"good");
         assert_eq!(names(folder.path()), ["a.bin"]);
+    }
+
+    #[test]
+    #[cfg(unix)]
+    fn a_full_disk_tells_how_much_is_needed_and_free() {
+        let folder = tempfile::tempdir().unwrap();
+        let full = |_: &mut BufWriter<File>| Err(io::ErrorKind::StorageFull.into());
+        let text = write_sized(&folder.path().join("a.bin"), 1 << 60, full).unwrap_err().to_string();
+        assert!(text.contains(" free, at least ") && text.contains("are needed"), "{text}");
+        // The space may have been freed since, or belongs to others.
+        let text = write_sized(&folder.path().join("a.bin"), 0, full).unwrap_err().to_string();
+        assert!(text.contains("a.bin: the disk is full"), "{text}");
+        let other = |_: &mut BufWriter<File>| Err(io::ErrorKind::PermissionDenied.into());
+        let text = write_sized(&folder.path().join("a.bin"), 1 << 60, other).unwrap_err().to_string();
+        assert!(text.contains("permission denied"), "{text}");
     }
 
     #[test]

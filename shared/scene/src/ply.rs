@@ -48,10 +48,17 @@ pub(crate) use rows::{Rows, read_elements};
 /// Writes the splats of a frame as a binary little-endian PLY, atomically: after an error, an earlier file at
 /// `path` is unchanged. The file has the frame's origin and the world's unit.
 pub fn write(path: &Path, splats: &Splats, frame: &LocalFrame) -> Result<(), SceneError> {
-    atomic::write(path, |out| {
+    atomic::write_sized(path, file_bytes(splats.len(), splats.sh_degree, frame), |out| {
         out.write_all(header_of(splats.len(), splats.sh_degree, frame).as_bytes())?;
         (0..splats.len()).try_for_each(|i| write_row(out, splats, i, frame))
     })
+}
+
+/// Length of the file that [`write()`] makes of so many splats in a frame, bytes.
+pub fn file_bytes(count: usize, sh_degree: u32, frame: &LocalFrame) -> u64 {
+    // Position, normal, spherical harmonics, opacity, scales and rotation.
+    let numbers = 3 + 3 + 3 * sh_coefficients(sh_degree) + 1 + 3 + 4;
+    header_of(count, sh_degree, frame).len() as u64 + count as u64 * 4 * numbers as u64
 }
 
 /// As [`write()`], for splats that come in parts, so that they need not all be in memory. `count` is the number of all
@@ -63,7 +70,7 @@ pub fn write_parts(
     frame: &LocalFrame,
     parts: impl Iterator<Item = io::Result<Splats>>,
 ) -> Result<(), SceneError> {
-    atomic::write(path, |out| {
+    atomic::write_sized(path, file_bytes(count, sh_degree, frame), |out| {
         out.write_all(header_of(count, sh_degree, frame).as_bytes())?;
         let mut written = 0;
         for splats in parts {

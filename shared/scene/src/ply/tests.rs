@@ -68,7 +68,9 @@ fn every_degree_survives_the_round_trip() {
     for degree in 0..=3 {
         for n in [0, 1, 5] {
             let splats = made_up(n, degree);
-            assert_eq!(read_bytes(&bytes_of(&splats)).unwrap(), splats, "{n} of degree {degree}");
+            let bytes = bytes_of(&splats);
+            assert_eq!(read_bytes(&bytes).unwrap(), splats, "{n} of degree {degree}");
+            assert_eq!(file_bytes(n, degree, &LocalFrame::WORLD), bytes.len() as u64);
         }
     }
 }
