@@ -15,7 +15,7 @@ const QUARTER_AT_PX: f64 = 5.0;
 const ROUNDS: usize = 20;
 /// Standard deviation of a point that was measured and marked with care, metres: RTK has 2 to 3 cm, a pixel as much.
 const SIGMA_M: f64 = 0.05;
-/// With so many points, every third is held out.
+/// With so many points, every third is held out, if the list does not say itself which ones are.
 const HOLD_OUT_FROM: usize = 6;
 
 /// A control point that enough photographs show.
@@ -58,21 +58,24 @@ pub(super) fn seen(points: &[ControlPoint], its: &Reconstruction, site: &SiteFra
             Some(model) => {
                 let enu_m = site.enu_from_geodetic(&point.place);
                 let sighting = Sighting { model, enu_m, has_height: true, sigma_m: SIGMA_M };
-                all.push(SeenPoint { name: point.name.clone(), marks, sighting });
+                all.push((point.is_check(), SeenPoint { name: point.name.clone(), marks, sighting }));
             }
             None => {
                 let reason = format!(
-                    "{} of the {} photographs that show it are in the dataset; a control point takes two from different places",
+                    "{} of the {} photographs that show it are in the dataset; a point takes two from different places",
                     sights.len(),
                     point.marks.len()
                 );
-                seen.left_out.push((format!("control point {}", point.name), reason));
+                let noun = if point.is_check() { "check point" } else { "control point" };
+                seen.left_out.push((format!("{noun} {}", point.name), reason));
             }
         }
     }
-    let holds_out = all.len() >= HOLD_OUT_FROM;
-    for (i, point) in all.into_iter().enumerate() {
-        if holds_out && i % 3 == 2 { seen.check.push(point) } else { seen.control.push(point) }
+    let says_itself = points.iter().any(ControlPoint::is_check);
+    let holds_out = !says_itself && all.len() >= HOLD_OUT_FROM;
+    for (i, (is_check, point)) in all.into_iter().enumerate() {
+        let only_checks = is_check || holds_out && i % 3 == 2;
+        if only_checks { seen.check.push(point) } else { seen.control.push(point) }
     }
     seen
 }
@@ -190,5 +193,26 @@ mod tests {
         let seen = seen(&points, &reconstruction(3), &site());
         let check: Vec<&str> = seen.check.iter().map(|point| &*point.name).collect();
         assert_eq!((check, seen.control.len()), (vec!["c", "f"], 4));
+    }
+
+    #[test]
+    fn a_list_that_names_check_points_holds_out_no_others() {
+        let points =
+            ["a", "CHK-1", "c", "d", "e", "chk2", "g"].map(|name| point(name, DVec3::X, &[0, 1], 0.0));
+        let names = |points: &[SeenPoint]| points.iter().map(|point| point.name.clone()).collect::<Vec<_>>();
+        let its = reconstruction(2);
+        let all = seen(&points, &its, &site());
+        assert_eq!(
+            (names(&all.check), names(&all.control).concat()),
+            (vec!["CHK-1".into(), "chk2".into()], "acdeg".into())
+        );
+        // Which points are held out does not depend on which of them are seen.
+        let unseen = points.map(|point| match point.is_check() {
+            true => ControlPoint { marks: Vec::new(), ..point },
+            false => point,
+        });
+        let rest = seen(&[&unseen[..], &[point("h", DVec3::X, &[0, 1], 0.0)]].concat(), &its, &site());
+        assert_eq!((names(&rest.check).len(), names(&rest.control).concat()), (0, "acdegh".into()));
+        assert_eq!(rest.left_out[0].0, "check point CHK-1");
     }
 }

@@ -48,7 +48,7 @@ impl Places {
         let gps: HashMap<String, Gps> =
             usable.filter_map(|photograph| Some((photograph.name.clone(), photograph.gps?))).collect();
         let control = photographs.control.clone();
-        if gps.len() < 3 && control.len() < 2 {
+        if gps.len() < 3 && control.iter().filter(|point| !point.is_check()).count() < 2 {
             return Ok(None);
         }
         let places: Vec<Geodetic> = match gps.len() {

@@ -1,7 +1,7 @@
 //! `gcp_list.txt` of ODM: points on the ground that were measured, and where photographs show them.
 //!
 //! The first line names the coordinate system; each further one is a mark:
-//! `east north height pixel_x pixel_y photograph [name]`.
+//! `east north height pixel_x pixel_y photograph [name]`. Names that begin with [`CHECK`] are of check points, as in WebODM.
 
 use std::path::Path;
 
@@ -14,6 +14,9 @@ use crate::table::{Table, number};
 /// Marks of one unnamed point repeat its east and north within this, in the units of the list.
 const SAME: f64 = 1e-6;
 
+/// Names of points that only check begin so, in letters of any case: `CHK-1`, `chk_gate`, `CHK7`.
+const CHECK: &str = "chk";
+
 /// A point on the ground that was measured.
 #[derive(Clone, Debug, PartialEq)]
 pub struct ControlPoint {
@@ -23,6 +26,14 @@ pub struct ControlPoint {
     pub place: Geodetic,
     /// Where photographs show it.
     pub marks: Vec<Mark>,
+}
+
+impl ControlPoint {
+    /// Whether its name says that it is a check point: it judges a fit, and has no part in it.
+    pub fn is_check(&self) -> bool {
+        let Some((begin, rest)) = self.name.split_at_checked(CHECK.len()) else { return false };
+        begin.eq_ignore_ascii_case(CHECK) && !rest.starts_with(char::is_alphabetic)
+    }
 }
 
 /// Where a photograph shows a point.
@@ -106,6 +117,19 @@ mod tests {
         );
         assert_eq!(place.height_m, 70.5);
         assert_eq!(points[0].marks[1], Mark { photograph: "b.jpg".into(), at_px: DVec2::new(3.0, 4.0) });
+    }
+
+    #[test]
+    fn check_points_are_told_by_their_names() {
+        let is_check = |name: &str| {
+            read(&format!("EPSG:2180\n332300 573431 70 5 6 a.jpg {name}\n")).unwrap()[0].is_check()
+        };
+        assert!(["CHK-1", "chk_gate", "Chk7", "CHK"].into_iter().all(is_check));
+        assert!(
+            ["1", "CH", "checker", "chkdam", "GCP-CHK", "Überweg", ""]
+                .into_iter()
+                .all(|name| !is_check(name))
+        );
     }
 
     #[test]
