@@ -7,8 +7,8 @@
 //! without names, from which the deliverables are then written.
 //!
 //! The memory is that of the fusion. The cameras are rendered again beside the mesh, in the memory that it leaves: the
-//! fusion counts more for each of its vertices, so pictures have the same size. All that follows needs less, because it has
-//! the mesh or the splats but never both, and one tile at a time.
+//! fusion counts more for each of its vertices, so pictures have the same size. The splats of the map's colours are in a file,
+//! and read for as many tiles as there is memory for. All that follows needs [`WRITING_BYTES`]: it works on one tile at a time.
 //!
 //! What it knows nothing about: how the model was made, command lines. The world of the model must be ENU metres
 //! about the origin of a site ([`cosurf_geo`]).
@@ -52,14 +52,16 @@ mod witnesses;
 use std::fs;
 use std::path::{Path, PathBuf};
 
+use cosurf_engine::budget::PROCESS_BYTES;
 use cosurf_geo::Georeference;
 use cosurf_scene::{SceneError, atomic};
 
-use crate::mesh::FuseEvent;
+use crate::mesh::{FuseEvent, MeshError};
 use crate::service::remove;
 pub use accuracy::{Accuracy, MadeFile, PointsAccuracy};
 use accuracy::{Made, accuracy_of};
-use confidence::find_claims;
+use colors::Painter;
+use confidence::{Claim, find_claims};
 use contours::{ContourOrder, write_contours};
 use depths::Depths;
 pub use error::SurveyError;
@@ -82,6 +84,11 @@ use witnesses::Witnesses;
 
 /// Usual difference of height between two contours, metres.
 pub const CONTOURS_M: f64 = 1.0;
+
+/// Bytes for writing a map: its writer holds a tile and its overviews, seven tiles in all. Measured with the largest pixels.
+const WRITING_BYTES: u64 = 7 * (lattice::TILE_PX * lattice::TILE_PX) as u64 * size_of::<Claim>() as u64;
+/// The smallest memory limit for any survey, bytes.
+const LEAST_BYTES: u64 = PROCESS_BYTES + WRITING_BYTES;
 
 /// What to make.
 #[derive(Clone, Debug)]
@@ -135,6 +142,7 @@ pub fn survey(order: &SurveyOrder, mut on_event: impl FnMut(SurveyEvent)) -> Res
     // Read before the mesh is made, so that a wrong file is reported at once.
     let polygons = order.volumes.as_deref().map(|file| read_polygons(file, &place)).transpose()?;
     let scene = Scene::open(&order.folder)?;
+    check_memory(&scene, order)?;
     fs::create_dir_all(&order.out).map_err(|cause| SceneError::io(&order.out, cause))?;
     atomic::remove_partial_files(&order.out)?;
     let out = |name| order.out.join(name);
@@ -178,6 +186,20 @@ pub fn survey(order: &SurveyOrder, mut on_event: impl FnMut(SurveyEvent)) -> Res
     let accuracy = accuracy_of(&order.georeference, &lattice, &made, order.contours_m, volumes.is_some());
     atomic::write_bytes(&accuracy_file, accuracy.to_json().as_bytes())?;
     Ok(accuracy)
+}
+
+/// Refuses a limit that is too small for writing maps. Also asks what rendering needs then, so that the user need not try twice.
+fn check_memory(scene: &Scene, order: &SurveyOrder) -> Result<(), SurveyError> {
+    let memory_bytes = order.memory_bytes;
+    if memory_bytes >= LEAST_BYTES {
+        return Ok(());
+    }
+    match scene.fuse_mesh(0, order.threads, |_| ()) {
+        Err(SurveyError::Mesh(MeshError::TooLittleMemory { needed_bytes, .. })) => {
+            Err(SurveyError::TooLittleMemory { needed_bytes: needed_bytes.max(LEAST_BYTES), memory_bytes })
+        }
+        other => other.map(drop),
+    }
 }
 
 /// What the mesh gives.
@@ -239,14 +261,11 @@ fn write_colors(
     voxel_m: f64,
     on_tile: impl FnMut(usize, usize),
 ) -> Result<usize, SurveyError> {
-    let kept = splats_from_above(scene, lattice, heights, voxel_m)?;
+    let memory_bytes = order.memory_bytes;
+    let kept = splats_from_above(scene, lattice, heights, voxel_m, &order.out, memory_bytes)?;
     let mut colors = Tiles::new(&order.out, lattice.size_px(), lattice::TILE_PX)?;
-    colors::Painter::new(&kept.splats, scene.frame, order.threads).paint(
-        lattice,
-        heights,
-        &mut colors,
-        on_tile,
-    )?;
+    let painter = Painter { splats: kept.file(), frame: scene.frame, memory_bytes, threads: order.threads };
+    painter.paint(lattice, heights, &mut colors, on_tile)?;
     cog::write_colors(&order.out.join("ortho.tif"), lattice, &mut colors)?;
     Ok(kept.left_out)
 }

@@ -9,49 +9,60 @@
 //! colour where its own height shows. What is left is that walls, too, are seen at that angle: 0.6 milliradians at most
 //! with pixels of 0.05 m.
 //!
-//! What it knows nothing about: files.
+//! What it knows nothing about: how the file of splats came to be.
 //!
 //! Where to start reading: [`Painter::paint`].
 
-use cosurf_engine::{Renderer, Rendering};
+use std::path::Path;
+
+use cosurf_engine::{Place, Rendering, ViewError, ViewMemory, Views};
 use cosurf_geo::GeoError;
-use cosurf_scene::{Camera, LocalFrame, Pose, Splats};
+use cosurf_scene::{Camera, LocalFrame, Pose};
 use glam::{DVec2, DVec3};
-use rayon::prelude::*;
 
 use super::error::SurveyError;
-use super::lattice::{Lattice, Window};
+use super::lattice::{Lattice, TILE_PX, Window};
 use super::place::Column;
-use super::tiles::Tiles;
+use super::tiles::{Tiles, copy};
 
 /// How far the cameras are above the surface, metres; the reason is above.
 const ABOVE_M: f64 = 30_000.0;
-/// Pixels that are rendered around a tile, for what shows up outwards; enough for 600 m of relief.
+/// Pixels that are rendered around a window, for what shows up outwards; enough for 600 m of relief.
 const MARGIN_PX: u32 = 8;
-/// A splat shows up to this many of its standard deviations away: the renderer leaves out alphas below 1/255, which every
-/// splat has from 3.4 deviations on.
-const REACH_DEVIATIONS: f64 = 4.0;
-/// The renderer widens splats by a fraction of a pixel; with this many pixels more, none is missed.
-const REACH_MORE_PX: f64 = 2.0;
+/// Least side of a window, px. Smaller ones would be mostly margin.
+const SIDE_LEAST_PX: u32 = 64;
+/// Bytes per pixel beside a rendering: its column, height and colour.
+const BYTES_PER_PIXEL: u64 = (size_of::<Column>() + size_of::<f32>() + size_of::<[u8; 4]>()) as u64;
+/// Bytes for the heights and colours of a tile.
+const TILE_BYTES: u64 = (TILE_PX * TILE_PX) as u64 * (size_of::<f32>() + size_of::<[u8; 4]>()) as u64;
 /// Below this alpha the splats show too little to have a colour.
 const ALPHA_LEAST: f32 = 0.1;
 
 /// Renders splats from above.
 pub(super) struct Painter<'a> {
-    splats: &'a Splats,
-    frame: LocalFrame,
-    threads: usize,
+    /// A PLY whose coordinates are those of `frame`.
+    pub(super) splats: &'a Path,
+    pub(super) frame: LocalFrame,
+    /// Limit on the memory of the process, bytes.
+    pub(super) memory_bytes: u64,
+    /// Number of threads, at least 1.
+    pub(super) threads: usize,
 }
 
-impl<'a> Painter<'a> {
-    /// The splats are in `frame`.
-    pub(super) fn new(splats: &'a Splats, frame: LocalFrame, threads: usize) -> Self {
-        Self { splats, frame, threads }
-    }
+/// What is rendered at once.
+struct Shot {
+    window: Window,
+    /// In the world.
+    camera: Camera,
+    /// World height at which the camera's pixels are those of the window, metres.
+    plane_m: f64,
+}
 
+impl Painter<'_> {
     /// Renders the colours of all pixels: red, green, blue, and 255 where there is a height and a colour. Pixels beyond
-    /// have colours too if they are in a tile that has any, so that the overviews are not dark at the edge of the map.
-    /// `on_tile` gets the number of tiles that are done, and of all.
+    /// have colours too if they are in a window that has any, so that the overviews are not dark at the edge of the map.
+    /// `on_tile` gets the number of tiles that are done, and of all. A tile whose splats do not fit into the memory is
+    /// rendered in smaller windows, as are all others then.
     pub(super) fn paint(
         &self,
         lattice: &Lattice,
@@ -59,62 +70,115 @@ impl<'a> Painter<'a> {
         colors: &mut Tiles<[u8; 4]>,
         mut on_tile: impl FnMut(usize, usize),
     ) -> Result<(), SurveyError> {
-        for tile in 0..heights.len() {
-            let window = heights.window(tile);
-            colors.write(tile, &self.paint_window(lattice, window, &heights.read(tile)?)?)?;
-            on_tile(tile + 1, heights.len());
+        let mut side_px = TILE_PX;
+        loop {
+            match self.paint_windows(lattice, heights, colors, side_px, &mut on_tile)? {
+                Err(ViewError::TooLittleMemory { .. }) if side_px > SIDE_LEAST_PX => side_px /= 2,
+                done => return Ok(done?),
+            }
         }
-        Ok(())
     }
 
-    fn paint_window(
+    /// Paints in windows with this side. The inner error is that of a picture.
+    fn paint_windows(
         &self,
         lattice: &Lattice,
-        window: Window,
-        heights: &[f32],
-    ) -> Result<Vec<[u8; 4]>, GeoError> {
+        heights: &mut Tiles<f32>,
+        colors: &mut Tiles<[u8; 4]>,
+        side_px: u32,
+        mut on_tile: impl FnMut(usize, usize),
+    ) -> Result<Result<(), ViewError>, SurveyError> {
+        let mut shots = Vec::with_capacity(heights.len());
+        for tile in 0..heights.len() {
+            shots.push(shots_of(lattice, heights.window(tile), &heights.read(tile)?, side_px)?);
+        }
+        let mut views = self.open(shots.iter().flatten())?;
+        for (tile, shots) in shots.into_iter().enumerate() {
+            let window = heights.window(tile);
+            let (values, mut painted) = (heights.read(tile)?, vec![[0; 4]; window.pixels()]);
+            for shot in shots {
+                let rendering = match views.render(&self.frame.local_camera(&shot.camera)) {
+                    Ok(rendering) => rendering,
+                    Err(error) => return Ok(Err(error)),
+                };
+                let colors = shot.colors(lattice, &part(&values, window, shot.window), &rendering)?;
+                copy(&colors, shot.window, &mut painted, window);
+            }
+            colors.write(tile, &painted)?;
+            on_tile(tile + 1, heights.len());
+        }
+        Ok(Ok(()))
+    }
+
+    fn open<'b>(&self, shots: impl Iterator<Item = &'b Shot>) -> Result<Views, SurveyError> {
+        let memory = ViewMemory {
+            limit_bytes: self.memory_bytes,
+            held_bytes: || 0,
+            made_bytes: TILE_BYTES,
+            made_bytes_per_pixel: BYTES_PER_PIXEL,
+        };
+        let world = LocalFrame::WORLD;
+        let mut views = Views::open(self.splats.into(), &world, Place::Within(memory), self.threads)?;
+        views.expect(shots.map(|shot| self.frame.local_camera(&shot.camera)).collect());
+        Ok(views)
+    }
+}
+
+/// What to render for a tile, from its heights: its parts with this side that have any.
+fn shots_of(lattice: &Lattice, tile: Window, heights: &[f32], side_px: u32) -> Result<Vec<Shot>, GeoError> {
+    let mut shots = Vec::new();
+    for y in (0..tile.size[1]).step_by(side_px as usize) {
+        for x in (0..tile.size[0]).step_by(side_px as usize) {
+            let size = [side_px.min(tile.size[0] - x), side_px.min(tile.size[1] - y)];
+            let window = Window { at: [tile.at[0] + x, tile.at[1] + y], size };
+            shots.extend(Shot::of(lattice, window, &part(heights, tile, window))?);
+        }
+    }
+    Ok(shots)
+}
+
+/// The values of a part of a tile.
+fn part(values: &[f32], tile: Window, window: Window) -> Vec<f32> {
+    let mut part = vec![0.0; window.pixels()];
+    copy(values, tile, &mut part, window);
+    part
+}
+
+/// World height of a pixel, metres; not a number where it has none.
+fn z_of((column, height): (&Column, &f32)) -> f64 {
+    f64::from(*height) - column.lift_m
+}
+
+impl Shot {
+    /// `None` if no pixel has a height.
+    fn of(lattice: &Lattice, window: Window, heights: &[f32]) -> Result<Option<Self>, GeoError> {
         let columns = lattice.columns(window)?;
-        let z_of = |(column, height): (&Column, &f32)| f64::from(*height) - column.lift_m;
         let mut range_m = [f64::INFINITY, f64::NEG_INFINITY];
         for z in columns.iter().zip(heights).map(z_of).filter(|z| !z.is_nan()) {
             range_m = [range_m[0].min(z), range_m[1].max(z)];
         }
         if range_m[0] > range_m[1] {
-            return Ok(vec![[0; 4]; columns.len()]);
+            return Ok(None);
         }
         let plane_m = 0.5 * (range_m[0] + range_m[1]);
-        let camera = camera_above(lattice, window, plane_m)?;
-        let camera_local = self.frame.local_camera(&camera);
-        // Only these are projected: of a large map, a tile sees a few.
-        let seen = self.seen(&camera_local);
-        if seen.is_empty() {
-            return Ok(vec![[0; 4]; columns.len()]);
-        }
-        let rendering = Renderer::new(&seen, self.threads).render(&camera_local);
-        let color = |(column, height): (&Column, &f32)| {
-            let z = z_of((column, height));
-            let point = column.at.extend(if z.is_nan() { plane_m } else { z });
-            let [red, green, blue] = camera.project(point).and_then(|px| look_up(&rendering, px))?;
-            Some([red, green, blue, if z.is_nan() { 0 } else { 255 }])
-        };
-        Ok(columns.iter().zip(heights).map(|both| color(both).unwrap_or([0; 4])).collect())
+        Ok(Some(Self { window, camera: camera_above(lattice, window, plane_m)?, plane_m }))
     }
 
-    /// The splats that a camera far above may see, in their order.
-    fn seen(&self, camera: &Camera) -> Splats {
-        let size = DVec2::from(camera.size_px.map(f64::from));
-        let is_seen = |splat: &usize| {
-            let mean = DVec3::from_array(self.splats.means[*splat].map(f64::from));
-            let [a, b, c] = self.splats.log_scales[*splat].map(f64::from);
-            let Some((px, depth)) = camera.project_with_depth(mean) else { return false };
-            let deviation_px = a.max(b).max(c).exp() * camera.focal_px.max_element() / depth;
-            let reach = REACH_DEVIATIONS * deviation_px + REACH_MORE_PX;
-            px.cmpge(DVec2::splat(-reach)).all() && px.cmple(size + reach).all()
+    /// The colours of the window's pixels.
+    fn colors(
+        &self,
+        lattice: &Lattice,
+        heights: &[f32],
+        rendering: &Rendering,
+    ) -> Result<Vec<[u8; 4]>, GeoError> {
+        let color = |(column, height): (&Column, &f32)| {
+            let z = z_of((column, height));
+            let point = column.at.extend(if z.is_nan() { self.plane_m } else { z });
+            let [red, green, blue] = self.camera.project(point).and_then(|px| look_up(rendering, px))?;
+            Some([red, green, blue, if z.is_nan() { 0 } else { 255 }])
         };
-        let indices: Vec<usize> = (0..self.splats.len()).into_par_iter().filter(is_seen).collect();
-        let mut seen = Splats::with_capacity(indices.len(), self.splats.sh_degree);
-        indices.into_iter().for_each(|splat| seen.push_from(self.splats, splat));
-        seen
+        let columns = lattice.columns(self.window)?;
+        Ok(columns.iter().zip(heights).map(|both| color(both).unwrap_or([0; 4])).collect())
     }
 }
 

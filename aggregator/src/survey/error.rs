@@ -1,7 +1,9 @@
 //! Why there is no survey.
 
+use cosurf_engine::ViewError;
 use cosurf_geo::GeoError;
 use cosurf_scene::SceneError;
+use cosurf_scene::bytes::format_bytes;
 
 use crate::mesh::MeshError;
 
@@ -18,6 +20,14 @@ pub enum SurveyError {
     /// No mesh can be made.
     #[error(transparent)]
     Mesh(#[from] MeshError),
+    /// The memory is too small to write maps.
+    #[error("a survey of this model needs {} of memory, but the limit is {}; allow more memory (--memory)", format_bytes(*needed_bytes), format_bytes(*memory_bytes))]
+    TooLittleMemory {
+        /// A memory limit that suffices, bytes.
+        needed_bytes: u64,
+        /// The memory limit, bytes.
+        memory_bytes: u64,
+    },
     /// No three cameras show the same ground.
     #[error(
         "no three cameras show the same ground, so there is nothing to measure; use a model of pictures that overlap"
@@ -53,4 +63,16 @@ pub enum SurveyError {
         /// Name of the polygon.
         name: String,
     },
+}
+
+impl From<ViewError> for SurveyError {
+    fn from(error: ViewError) -> Self {
+        match error {
+            ViewError::Scene(error) => Self::Scene(error),
+            ViewError::TooLittleMemory { splats, needed_bytes, memory_bytes, .. } => {
+                Self::Mesh(MeshError::TooLittleMemory { splats, needed_bytes, memory_bytes })
+            }
+            error => Self::Mesh(MeshError::View(error)),
+        }
+    }
 }

@@ -1,11 +1,19 @@
-//! The splats of a model as they look from straight above.
+//! The splats of a model as they look from straight above, in a file.
+//!
+//! The model need not fit into the memory. It is read twice: first only positions are kept, of as many splats at a time as
+//! there is room for, to find those that float; then the others are written.
 //!
 //! What it knows nothing about: pictures.
 
+use std::io;
+use std::path::Path;
+
+use cosurf_engine::budget::PROCESS_BYTES;
 use cosurf_scene::splats::SH_C0;
-use cosurf_scene::{LocalFrame, Splats};
+use cosurf_scene::{LocalFrame, SceneError, Splats, ply};
 use glam::{DVec2, DVec3};
 use rayon::prelude::*;
+use tempfile::TempPath;
 
 use super::error::SurveyError;
 use super::lattice::{Lattice, Window};
@@ -16,42 +24,77 @@ use super::tiles::Tiles;
 const FLOATING_VOXELS: f64 = 5.0;
 /// The surface counts up to this many voxels beside a splat, so that splats at the edge of a roof do not float.
 const BESIDE_VOXELS: f64 = 2.0;
-/// Splats that are read at once.
-const PART: usize = 50_000;
+/// Splats that are read at once; with harmonics of degree 3, they take a MiB.
+const PART: usize = 4096;
+/// Bytes for a splat while it is found out whether it floats: its position, its tile in a list and in the parts that this
+/// list is joined from, its place in the order of tiles, once more while it is sorted, and in a list of those that float.
+const BYTES_EACH: u64 = 48;
+/// Bytes for what is read meanwhile: [`PART`] splats, and the heights of a tile and around it.
+const READING_BYTES: u64 = 6 << 20;
 /// The harmonics that do not vanish straight down, and their values there: those of degree 1 to 3 around the vertical axis,
 /// with the signs and constants of the original 3DGS code.
 const DOWN: [(usize, f32); 3] = [(2, -0.488_602_5), (6, 0.630_783_1), (12, -0.746_352_7)];
 
 /// The splats that lie on the surface, with their colours from above only.
+#[derive(Debug)]
 pub(super) struct Kept {
-    /// In the frame of the scene.
-    pub(super) splats: Splats,
+    /// A PLY in the frame of the scene, which is removed with this value.
+    file: TempPath,
     /// Number of those that float above the surface.
     pub(super) left_out: usize,
 }
 
-/// The splats of a scene, without those that float above the surface: no camera looks straight down from above them, so
-/// nothing in training removed them, and on a map they would hide the ground. Where there is no height, those above the
-/// lowest camera float.
+impl Kept {
+    /// A PLY whose coordinates are those of the frame of the scene.
+    pub(super) fn file(&self) -> &Path {
+        &self.file
+    }
+}
+
+/// Writes the splats of a scene to a file in `folder`, without those that float above the surface: no camera looks straight
+/// down from above them, so nothing in training removed them, and on a map they would hide the ground. Where there is no
+/// height, those above the lowest camera float.
 pub(super) fn splats_from_above(
     scene: &Scene,
     lattice: &Lattice,
     heights: &mut Tiles<f32>,
     voxel_m: f64,
+    folder: &Path,
+    memory_bytes: u64,
 ) -> Result<Kept, SurveyError> {
-    let mut splats = Splats::with_capacity(0, 0);
-    scene.splats(PART, |part| push_seen_from_above(part, &mut splats))?;
-    let floating = floating(&splats, &scene.frame, lattice, heights, voxel_m, scene.lowest_eye_m())?;
-    Ok(Kept {
-        splats: if floating.is_empty() { splats } else { splats.without(&floating) },
-        left_out: floating.len(),
-    })
+    let lowest_eye_m = scene.lowest_eye_m();
+    let mut sieve = Sieve { frame: scene.frame, lattice, heights, voxel_m, lowest_eye_m };
+    let floats = sieve.floats(scene, at_once(memory_bytes))?;
+    let left_out = floats.iter().filter(|floats| **floats).count();
+    // The name is one that the next survey removes if this one is killed.
+    let named = tempfile::Builder::new().prefix(".splats-").suffix(".partial").tempfile_in(folder);
+    let file = named.map_err(|cause| SceneError::io(folder, cause))?.into_temp_path();
+    ply::write_with(&file, floats.len() - left_out, 0, &LocalFrame::WORLD, |write| {
+        let (mut read, mut written) = (0, Ok(()));
+        let write_kept = |part: &Splats| {
+            let mut kept = Splats::with_capacity(part.len(), 0);
+            push_seen_from_above(part, &floats[read..], &mut kept);
+            read += part.len();
+            if written.is_ok() {
+                written = write(&kept);
+            }
+        };
+        scene.splats(PART, write_kept).map_err(io::Error::other)?;
+        written
+    })?;
+    Ok(Kept { file, left_out })
 }
 
-/// Appends splats whose colour is, from everywhere, that of `part` from straight above.
-fn push_seen_from_above(part: &Splats, splats: &mut Splats) {
+/// Number of splats whose positions fit into the memory at a time.
+fn at_once(memory_bytes: u64) -> usize {
+    let room_bytes = memory_bytes.saturating_sub(PROCESS_BYTES + READING_BYTES);
+    ((room_bytes / BYTES_EACH) as usize).max(PART)
+}
+
+/// Appends splats whose colour is, from everywhere, that of `part` from straight above, without those that float.
+fn push_seen_from_above(part: &Splats, floats: &[bool], splats: &mut Splats) {
     let count = part.sh_stride() / 3;
-    for i in 0..part.len() {
+    for i in (0..part.len()).filter(|i| !floats[*i]) {
         let sh = part.sh_of(i);
         let above = |channel: usize| {
             let harmonics = DOWN.iter().filter(|(index, _)| *index < count);
@@ -63,48 +106,80 @@ fn push_seen_from_above(part: &Splats, splats: &mut Splats) {
     }
 }
 
-/// Indices of the splats that float, ascending.
-fn floating(
-    splats: &Splats,
-    frame: &LocalFrame,
-    lattice: &Lattice,
-    heights: &mut Tiles<f32>,
+/// Tells which splats float.
+struct Sieve<'a> {
+    frame: LocalFrame,
+    lattice: &'a Lattice,
+    heights: &'a mut Tiles<f32>,
+    /// Edge length of a voxel, metres.
     voxel_m: f64,
+    /// World height of the lowest camera, metres.
     lowest_eye_m: f64,
-) -> Result<Vec<u32>, SurveyError> {
-    let world = |splat: usize| frame.world_from_local(DVec3::from_array(splats.means[splat].map(f64::from)));
-    let map = |splat: usize| lattice.place().map_from_enu(world(splat));
-    let size = DVec2::from(lattice.size_px().map(f64::from));
-    let tile_of = |splat: usize| {
-        let px = lattice.px_from_map(map(splat)?.truncate());
-        let is_inside = px.cmpge(DVec2::ZERO).all() && px.cmplt(size).all();
-        Ok::<_, SurveyError>(is_inside.then(|| heights.tile_of([px.x as u32, px.y as u32]) as u32))
-    };
-    let tiles: Vec<Option<u32>> = (0..splats.len()).into_par_iter().map(tile_of).collect::<Result<_, _>>()?;
-    let mut order: Vec<u32> = (0..splats.len() as u32).collect();
-    order.sort_by_key(|splat| tiles[*splat as usize]);
-    let beside_px = BESIDE_VOXELS * voxel_m / lattice.gsd_m();
-    let mut floating = Vec::new();
-    for group in order.chunk_by(|a, b| tiles[*a as usize] == tiles[*b as usize]) {
-        let Some(tile) = tiles[group[0] as usize] else {
-            floating.extend(group.iter().filter(|splat| world(**splat as usize).z > lowest_eye_m));
-            continue;
+}
+
+impl Sieve<'_> {
+    /// Whether each splat of the scene floats. Keeps the positions of at most `at_once` and one part.
+    fn floats(&mut self, scene: &Scene, at_once: usize) -> Result<Vec<bool>, SurveyError> {
+        let (mut means, mut floats, mut failed) = (Vec::new(), Vec::new(), None);
+        let mut sift = |means: &mut Vec<[f32; 3]>| {
+            match self.floating(means) {
+                Ok(floating) => {
+                    let begin = floats.len();
+                    floats.resize(begin + means.len(), false);
+                    floating.into_iter().for_each(|splat| floats[begin + splat as usize] = true);
+                }
+                Err(error) => failed = failed.take().or(Some(error)),
+            }
+            means.clear();
         };
-        let (window, around) = heights.read_around(tile as usize, beside_px.ceil() as u32 + 1)?;
-        for splat in group {
-            let at = map(*splat as usize)?;
-            let px = lattice.px_from_map(at.truncate());
-            let floats = match highest_near(&around, window, px, beside_px) {
-                Some(surface_m) => at.z > surface_m + FLOATING_VOXELS * voxel_m,
-                None => world(*splat as usize).z > lowest_eye_m,
+        scene.splats(PART.min(at_once), |part| {
+            if means.len() + part.len() > at_once {
+                sift(&mut means);
+            }
+            means.extend_from_slice(&part.means);
+        })?;
+        sift(&mut means);
+        failed.map_or(Ok(floats), Err)
+    }
+
+    /// Indices of the splats that float, of those at some positions.
+    fn floating(&mut self, means: &[[f32; 3]]) -> Result<Vec<u32>, SurveyError> {
+        let Self { frame, lattice, voxel_m, lowest_eye_m, .. } = *self;
+        let heights = &mut *self.heights;
+        let world = |splat: usize| frame.world_from_local(DVec3::from_array(means[splat].map(f64::from)));
+        let map = |splat: usize| lattice.place().map_from_enu(world(splat));
+        let size = DVec2::from(lattice.size_px().map(f64::from));
+        let tile_of = |splat: usize| {
+            let px = lattice.px_from_map(map(splat)?.truncate());
+            let is_inside = px.cmpge(DVec2::ZERO).all() && px.cmplt(size).all();
+            Ok::<_, SurveyError>(is_inside.then(|| heights.tile_of([px.x as u32, px.y as u32]) as u32))
+        };
+        let tiles: Vec<Option<u32>> =
+            (0..means.len()).into_par_iter().map(tile_of).collect::<Result<_, _>>()?;
+        let mut order: Vec<u32> = (0..means.len() as u32).collect();
+        order.sort_by_key(|splat| tiles[*splat as usize]);
+        let beside_px = BESIDE_VOXELS * voxel_m / lattice.gsd_m();
+        let mut floating = Vec::new();
+        for group in order.chunk_by(|a, b| tiles[*a as usize] == tiles[*b as usize]) {
+            let Some(tile) = tiles[group[0] as usize] else {
+                floating.extend(group.iter().filter(|splat| world(**splat as usize).z > lowest_eye_m));
+                continue;
             };
-            if floats {
-                floating.push(*splat);
+            let (window, around) = heights.read_around(tile as usize, beside_px.ceil() as u32 + 1)?;
+            for splat in group {
+                let at = map(*splat as usize)?;
+                let px = lattice.px_from_map(at.truncate());
+                let floats = match highest_near(&around, window, px, beside_px) {
+                    Some(surface_m) => at.z > surface_m + FLOATING_VOXELS * voxel_m,
+                    None => world(*splat as usize).z > lowest_eye_m,
+                };
+                if floats {
+                    floating.push(*splat);
+                }
             }
         }
+        Ok(floating)
     }
-    floating.sort_unstable();
-    Ok(floating)
 }
 
 /// The highest of nine heights: at a position in the map, and `beside_px` to each side of it.
@@ -131,7 +206,7 @@ mod tests {
         let sh: Vec<f32> = (0..48).map(|i| 0.01 * (i as f32 + 1.0)).collect();
         part.push([1.0, 2.0, 3.0], [1.0, 0.0, 0.0, 0.0], [-2.0; 3], 0.5, &sh);
         let mut splats = Splats::with_capacity(0, 0);
-        push_seen_from_above(&part, &mut splats);
+        push_seen_from_above(&part, &[false], &mut splats);
         // The red channel: constants of the basis of 3DGS at (0, 0, -1).
         let wanted =
             0.282_094_8 * 0.01 - 0.488_602_5 * 0.07 + 0.315_391_57 * 2.0 * 0.19 - 0.373_176_34 * 2.0 * 0.37;

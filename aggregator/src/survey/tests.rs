@@ -226,12 +226,12 @@ fn the_orthophoto_has_no_seams_between_tiles() {
     let (lattice, heights) = heights(&scene, folder.path(), 512);
     let colors = |tile_px: u32| {
         let mut tiles = tiles_of(&heights, folder.path(), lattice.size_px(), tile_px);
-        let kept = splats_from_above(&scene, &lattice, &mut tiles, 0.1).unwrap();
+        let (out, memory_bytes) = (folder.path(), MEMORY_BYTES);
+        let kept = splats_from_above(&scene, &lattice, &mut tiles, 0.1, out, memory_bytes).unwrap();
         assert_eq!(kept.left_out, 1, "only the red splat floats");
         let mut colors = Tiles::new(folder.path(), lattice.size_px(), tile_px).unwrap();
-        Painter::new(&kept.splats, scene.frame, 2)
-            .paint(&lattice, &mut tiles, &mut colors, |_, _| ())
-            .unwrap();
+        let painter = Painter { splats: kept.file(), frame: scene.frame, memory_bytes, threads: 2 };
+        painter.paint(&lattice, &mut tiles, &mut colors, |_, _| ()).unwrap();
         whole(&mut colors, [0; 4])
     };
     let (large, small) = (colors(512), colors(32));

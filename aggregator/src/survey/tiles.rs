@@ -100,7 +100,7 @@ impl<T: Pod> Tiles<T> {
 }
 
 /// Copies the pixels that two windows share.
-fn copy<T: Copy>(from: &[T], source: Window, to: &mut [T], target: Window) {
+pub(super) fn copy<T: Copy>(from: &[T], source: Window, to: &mut [T], target: Window) {
     let first = [0, 1].map(|axis| source.at[axis].max(target.at[axis]));
     let end =
         [0, 1].map(|axis| (source.at[axis] + source.size[axis]).min(target.at[axis] + target.size[axis]));

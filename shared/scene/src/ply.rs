@@ -68,19 +68,29 @@ pub fn write_parts(
     count: usize,
     sh_degree: u32,
     frame: &LocalFrame,
-    parts: impl Iterator<Item = io::Result<Splats>>,
+    mut parts: impl Iterator<Item = io::Result<Splats>>,
+) -> Result<(), SceneError> {
+    write_with(path, count, sh_degree, frame, |write| parts.try_for_each(|splats| write(&splats?)))
+}
+
+/// As [`write_parts`], for a caller that has each part for a moment only: `fill` gets a function that writes one.
+pub fn write_with(
+    path: &Path,
+    count: usize,
+    sh_degree: u32,
+    frame: &LocalFrame,
+    fill: impl FnOnce(&mut dyn FnMut(&Splats) -> io::Result<()>) -> io::Result<()>,
 ) -> Result<(), SceneError> {
     atomic::write_sized(path, file_bytes(count, sh_degree, frame), |out| {
         out.write_all(header_of(count, sh_degree, frame).as_bytes())?;
         let mut written = 0;
-        for splats in parts {
-            let splats = splats?;
+        fill(&mut |splats| {
             if splats.sh_degree != sh_degree {
                 return Err(io::Error::other("its parts have different degrees of spherical harmonics"));
             }
             written += splats.len();
-            (0..splats.len()).try_for_each(|i| write_row(out, &splats, i, frame))?;
-        }
+            (0..splats.len()).try_for_each(|i| write_row(out, splats, i, frame))
+        })?;
         if written == count {
             Ok(())
         } else {
