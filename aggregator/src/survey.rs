@@ -16,9 +16,10 @@
 //! Where to start reading: [`survey`], the list of steps. The modules, each below those that use it:
 //!
 //! ```text
-//! survey ─► accuracy, cog, points, solid, contours, volumes   the files
+//! survey ─► accuracy, cog, points, solid, splat_tiles, contours, volumes   the files
 //!            └─ confidence, floaters ─► views, depths        how wrong heights may be; what floats; what cameras show
 //!            └─ heights, terrain, splats, colors              the surface, the ground, what nobody sees of them
+//!            └─ tileset                                       where tiles are
 //!                └─ lattice, tiles, grid ─► place             pixels of the map; values of pixels; where on the earth
 //!                └─ scene, quadtree, parts                    the model; parts of its mesh
 //! ```
@@ -40,11 +41,13 @@ mod points;
 mod quadtree;
 mod scene;
 mod solid;
+mod splat_tiles;
 mod splats;
 mod terrain;
 #[cfg(test)]
 mod tests;
 mod tiles;
+mod tileset;
 mod views;
 mod volumes;
 mod witnesses;
@@ -74,6 +77,7 @@ use quadtree::Quadtree;
 pub use scene::FusedMesh;
 use scene::{Relief, Scene};
 use solid::{SolidSize, write_solid};
+use splat_tiles::{SplatTiles, write_splat_tiles};
 use splats::splats_from_above;
 use terrain::find_terrain;
 use tiles::Tiles;
@@ -135,7 +139,7 @@ pub enum SurveyEvent {
 }
 
 /// Makes all files: the maps `dsm.tif`, `dtm.tif`, `ortho.tif` and `confidence.tif`, `points.laz`, `mesh.glb`, `mesh.obj`,
-/// `tileset.json` with its tiles, `contours.geojson`, `volumes.json` if polygons are given, and last `accuracy.json`, so
+/// `tileset.json` with its tiles, `splats/tileset.json` with its tiles, `contours.geojson`, `volumes.json` if polygons are given, and last `accuracy.json`, so
 /// that its presence tells that the others are complete.
 pub fn survey(order: &SurveyOrder, mut on_event: impl FnMut(SurveyEvent)) -> Result<Accuracy, SurveyError> {
     let place = Place::new(&order.georeference, order.geoid.as_deref())?;
@@ -162,7 +166,7 @@ pub fn survey(order: &SurveyOrder, mut on_event: impl FnMut(SurveyEvent)) -> Res
     let Shape { lattice, mut heights, depths, points, solid } = shape;
     write_ground(&order.out, order, &lattice, &mut heights)?;
 
-    let splats_left_out =
+    let splats =
         write_colors(&scene, order, &lattice, &mut heights, voxel_m, |d, n| show("tile", "colours", d, n))?;
 
     let mut views = Tiles::<Views>::new(&order.out, lattice.size_px(), lattice::TILE_PX)?;
@@ -182,7 +186,7 @@ pub fn survey(order: &SurveyOrder, mut on_event: impl FnMut(SurveyEvent)) -> Res
     }
 
     let cameras = scene.cameras.len();
-    let made = Made { covered, height_error_m, points, solid, voxel_m, cameras, splats_left_out };
+    let made = Made { covered, height_error_m, points, solid, voxel_m, cameras, splats };
     let accuracy = accuracy_of(&order.georeference, &lattice, &made, order.contours_m, volumes.is_some());
     atomic::write_bytes(&accuracy_file, accuracy.to_json().as_bytes())?;
     Ok(accuracy)
@@ -252,7 +256,7 @@ impl Shape {
     }
 }
 
-/// Writes the orthophoto, and returns how many splats float and are not in it.
+/// Writes the orthophoto, and the splats as tiles.
 fn write_colors(
     scene: &Scene,
     order: &SurveyOrder,
@@ -260,14 +264,14 @@ fn write_colors(
     heights: &mut Tiles<f32>,
     voxel_m: f64,
     on_tile: impl FnMut(usize, usize),
-) -> Result<usize, SurveyError> {
+) -> Result<SplatTiles, SurveyError> {
     let memory_bytes = order.memory_bytes;
     let kept = splats_from_above(scene, lattice, heights, voxel_m, &order.out, memory_bytes)?;
     let mut colors = Tiles::new(&order.out, lattice.size_px(), lattice::TILE_PX)?;
     let painter = Painter { splats: kept.file(), frame: scene.frame, memory_bytes, threads: order.threads };
     painter.paint(lattice, heights, &mut colors, on_tile)?;
     cog::write_colors(&order.out.join("ortho.tif"), lattice, &mut colors)?;
-    Ok(kept.left_out)
+    write_splat_tiles(&order.out, scene, kept.floats(), lattice.place(), memory_bytes)
 }
 
 /// Writes the terrain and its contours.

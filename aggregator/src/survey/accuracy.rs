@@ -8,6 +8,7 @@ use serde::Serialize;
 use super::heights::Covered;
 use super::lattice::Lattice;
 use super::solid::SolidSize;
+use super::splat_tiles::SplatTiles;
 
 /// The content of `accuracy.json`.
 #[derive(Clone, Debug, PartialEq, Serialize)]
@@ -42,7 +43,11 @@ pub struct Accuracy {
     pub tile_levels: usize,
     /// Number of cameras.
     pub cameras: usize,
-    /// Number of splats that floated above the surface, and are not in `ortho.tif`.
+    /// Number of splats of the finest tiles of `splats/tileset.json`.
+    pub splats: usize,
+    /// Number of levels of detail in `splats/tileset.json`.
+    pub splat_levels: usize,
+    /// Number of splats that floated above the surface, and are not in `ortho.tif` and `splats`.
     pub splats_left_out: usize,
     /// How well the photographs' GPS agrees with their poses; absent if the place does not come from GPS.
     pub gps: Option<GpsResiduals>,
@@ -84,7 +89,7 @@ pub(super) struct Made {
     pub(super) solid: SolidSize,
     pub(super) voxel_m: f64,
     pub(super) cameras: usize,
-    pub(super) splats_left_out: usize,
+    pub(super) splats: SplatTiles,
 }
 
 pub(super) fn accuracy_of(
@@ -94,7 +99,7 @@ pub(super) fn accuracy_of(
     contours_m: f64,
     has_volumes: bool,
 ) -> Accuracy {
-    let Made { covered, height_error_m, points, solid, voxel_m, cameras, splats_left_out } = *made;
+    let Made { covered, height_error_m, points, solid, voxel_m, cameras, splats } = *made;
     let residuals = &georeference.residuals;
     Accuracy {
         origin: georeference.origin,
@@ -112,7 +117,9 @@ pub(super) fn accuracy_of(
         mesh_error_m: solid.error_m,
         tile_levels: solid.levels,
         cameras,
-        splats_left_out,
+        splats: splats.splats,
+        splat_levels: splats.levels,
+        splats_left_out: splats.left_out,
         gps: residuals.gps,
         control: PointsAccuracy::of(&residuals.control),
         check: PointsAccuracy::of(&residuals.check),
@@ -131,6 +138,7 @@ fn made_files(contours_m: f64, has_volumes: bool) -> Vec<MadeFile> {
         ("mesh.glb", "The mesh without the other vertices, decimated by quadric errors of position and colour; colours belong to vertices. Its heights are above the origin.".into()),
         ("mesh.obj", "The triangles of mesh.glb in the coordinate system and with the heights of the maps, minus the whole kilometres that its first line tells.".into()),
         ("tileset.json", "The same mesh as a quadtree of tiles, each level decimated further; its place is earth-centred, so it needs no geoid.".into()),
+        ("splats/tileset.json", "The splats of the model without those that float above the mesh, as a quadtree of tiles of glTF with SPZ; each level has a quarter of the splats of the level below, enlarged to cover as much.".into()),
         ("contours.geojson", format!("Lines every {contours_m} m, by marching squares through means of dtm.tif.")),
     ];
     if has_volumes {

@@ -19,6 +19,11 @@ pub(super) fn parent(key: Key) -> Key {
     key >> 2
 }
 
+/// The key of a tile, by its column and row, which are below 65,536.
+pub(super) fn key_of([x, y]: [u32; 2]) -> Key {
+    interleaved(x) | interleaved(y) << 1
+}
+
 /// The triangles, leaf by leaf.
 pub(super) struct Quadtree {
     depth: u32,
@@ -48,8 +53,7 @@ impl Quadtree {
         let side = (high - low).max_element().max(f64::MIN_POSITIVE);
         let key = |triangle: u32| {
             let cell = (middle(mesh, triangle) - low) / side * f64::from(across);
-            let [x, y] = cell.to_array().map(|of| (of as u32).min(across - 1));
-            interleaved(x) | interleaved(y) << 1
+            key_of(cell.to_array().map(|of| (of as u32).min(across - 1)))
         };
         let mut begins = vec![0; (across * across) as usize + 1];
         wanted().for_each(|triangle| begins[key(triangle) as usize + 1] += 1);
@@ -155,7 +159,7 @@ mod tests {
     #[test]
     fn keys_of_neighbours_have_one_parent() {
         assert_eq!([0, 1, 2, 3, 0x8001].map(interleaved), [0, 1, 4, 5, 0x4000_0001]);
-        let key = |x: u32, y: u32| interleaved(x) | interleaved(y) << 1;
+        let key = |x: u32, y: u32| key_of([x, y]);
         assert!([key(4, 6), key(5, 6), key(4, 7), key(5, 7)].iter().all(|of| parent(*of) == key(2, 3)));
     }
 

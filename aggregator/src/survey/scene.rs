@@ -102,6 +102,20 @@ impl Scene {
         Ok(model::read_parts(&self.model, &self.frame, most, visit)?)
     }
 
+    /// As [`Self::splats`], in metres about the origin of that frame.
+    pub(super) fn splats_in_metres(
+        &self,
+        most: usize,
+        visit: impl FnMut(&Splats),
+    ) -> Result<(), SurveyError> {
+        Ok(model::read_parts(&self.model, &LocalFrame::at(self.frame.origin()), most, visit)?)
+    }
+
+    /// Degree of the spherical harmonics of the splats, 0 to 3.
+    pub(super) fn sh_degree(&self) -> Result<u32, SurveyError> {
+        Ok(model::size(&self.model)?.1)
+    }
+
     /// World height of the lowest camera, metres.
     pub(super) fn lowest_eye_m(&self) -> f64 {
         self.cameras.iter().map(|camera| camera.cam_from_world.center().z).fold(f64::INFINITY, f64::min)

@@ -13,14 +13,12 @@
 //! Where to start reading: [`write_solid`]; [`decimate`] has the error bound.
 
 mod decimate;
-mod tileset;
 
 use std::collections::BTreeMap;
-use std::fs;
 use std::path::Path;
 
 use cosurf_geo::GeoError;
-use cosurf_scene::{LocalFrame, Mesh, SceneError, atomic};
+use cosurf_scene::{LocalFrame, Mesh, atomic};
 use glam::DVec3;
 use rayon::prelude::*;
 use serde_json::{Map, Value, json};
@@ -29,8 +27,8 @@ use super::error::SurveyError;
 use super::parts;
 use super::place::Place;
 use super::quadtree::{Key, Quadtree, parent, shared};
+use super::tileset::{self, Bounds, Tile, tileset};
 use decimate::{Bound, Decimated, decimate};
-use tileset::{Bounds, Tile, tileset};
 
 /// Folder of the tiles.
 const FOLDER: &str = "tiles";
@@ -63,8 +61,7 @@ pub(super) fn write_solid(
     voxel_m: f64,
 ) -> Result<SolidSize, SurveyError> {
     let folder = out.join(FOLDER);
-    fs::create_dir_all(&folder).map_err(|cause| SceneError::io(&folder, cause))?;
-    remove_tiles(&folder)?;
+    tileset::make_folder(&folder)?;
     let bounds = |triangles: &[[u32; 3]]| {
         let world =
             |vertex: &u32| frame.world_from_local(mesh.positions[*vertex as usize].map(f64::from).into());
@@ -100,7 +97,7 @@ pub(super) fn write_solid(
             level = coarser(mesh, level, bound(error_m), frame.unit());
         }
     }
-    let json = tileset(&tiles, FOLDER, place.ecef_from_enu());
+    let json = tileset(&tiles, &format!("{FOLDER}/"), place.ecef_from_enu());
     atomic::write_bytes(&out.join("tileset.json"), json.to_string().as_bytes())?;
     Ok(size)
 }
@@ -122,18 +119,6 @@ fn write_obj(path: &Path, mut mesh: Mesh, place: &Place) -> Result<(), SurveyErr
         offset.y
     );
     Ok(mesh.write_obj(path, &comment)?)
-}
-
-/// Removes the tiles of an earlier run, of which there may have been more.
-fn remove_tiles(folder: &Path) -> Result<(), SceneError> {
-    let io = |cause| SceneError::io(folder, cause);
-    for entry in fs::read_dir(folder).map_err(io)? {
-        let path = entry.map_err(io)?.path();
-        if path.file_name().and_then(|name| name.to_str()).is_some_and(tileset::is_name) {
-            fs::remove_file(&path).map_err(|cause| SceneError::io(&path, cause))?;
-        }
-    }
-    Ok(())
 }
 
 /// A tile of the level that is worked on.
@@ -188,6 +173,8 @@ fn extras(place: &Place) -> Map<String, Value> {
 #[cfg(test)]
 mod tests {
     #![allow(clippy::unwrap_used)]
+    use std::fs;
+
     use super::super::place::tests::place;
     use super::*;
 

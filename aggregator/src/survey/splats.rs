@@ -40,14 +40,19 @@ const DOWN: [(usize, f32); 3] = [(2, -0.488_602_5), (6, 0.630_783_1), (12, -0.74
 pub(super) struct Kept {
     /// A PLY in the frame of the scene, which is removed with this value.
     file: TempPath,
-    /// Number of those that float above the surface.
-    pub(super) left_out: usize,
+    /// Whether each splat of the scene floats above the surface.
+    floats: Vec<bool>,
 }
 
 impl Kept {
     /// A PLY whose coordinates are those of the frame of the scene.
     pub(super) fn file(&self) -> &Path {
         &self.file
+    }
+
+    /// Whether each splat of the scene floats above the surface, in the order of the scene.
+    pub(super) fn floats(&self) -> &[bool] {
+        &self.floats
     }
 }
 
@@ -65,11 +70,11 @@ pub(super) fn splats_from_above(
     let lowest_eye_m = scene.lowest_eye_m();
     let mut sieve = Sieve { frame: scene.frame, lattice, heights, voxel_m, lowest_eye_m };
     let floats = sieve.floats(scene, at_once(memory_bytes))?;
-    let left_out = floats.iter().filter(|floats| **floats).count();
+    let kept = floats.iter().filter(|floats| !**floats).count();
     // The name is one that the next survey removes if this one is killed.
     let named = tempfile::Builder::new().prefix(".splats-").suffix(".partial").tempfile_in(folder);
     let file = named.map_err(|cause| SceneError::io(folder, cause))?.into_temp_path();
-    ply::write_with(&file, floats.len() - left_out, 0, &LocalFrame::WORLD, |write| {
+    ply::write_with(&file, kept, 0, &LocalFrame::WORLD, |write| {
         let (mut read, mut written) = (0, Ok(()));
         let write_kept = |part: &Splats| {
             let mut kept = Splats::with_capacity(part.len(), 0);
@@ -82,7 +87,7 @@ pub(super) fn splats_from_above(
         scene.splats(PART, write_kept).map_err(io::Error::other)?;
         written
     })?;
-    Ok(Kept { file, left_out })
+    Ok(Kept { file, floats })
 }
 
 /// Number of splats whose positions fit into the memory at a time.

@@ -2,6 +2,7 @@
 #![allow(clippy::unwrap_used)]
 
 mod memory;
+mod splat_tiles;
 mod validated;
 
 use std::path::Path;
@@ -26,6 +27,8 @@ use super::witnesses::Witnesses;
 use super::{FusedMesh, SurveyError, SurveyEvent, SurveyOrder, survey};
 use crate::testing::{above, geoid, undulation_m};
 
+/// Splats of the slope.
+const SPLATS: usize = 81 * 61;
 /// Metres up per metre east.
 const SLOPE: f64 = 0.2;
 const MEMORY_BYTES: u64 = 1 << 30;
@@ -131,6 +134,7 @@ fn all_files_are_written_and_readers_understand_them() {
     let order = SurveyOrder { volumes: Some(polygons), ..order(folder.path()) };
     let accuracy = survey(&order, |_| ()).unwrap();
     assert_eq!((accuracy.epsg, accuracy.gsd_m, accuracy.splats_left_out), (32_633, 0.1, 1));
+    assert_eq!((accuracy.splats, accuracy.splat_levels), (SPLATS, 1));
     assert!((100.0..180.0).contains(&accuracy.covered_m2), "{accuracy:?}");
     assert!(accuracy.check.is_none() && accuracy.points_per_m2 > 10.0, "{accuracy:?}");
 
@@ -228,7 +232,7 @@ fn the_orthophoto_has_no_seams_between_tiles() {
         let mut tiles = tiles_of(&heights, folder.path(), lattice.size_px(), tile_px);
         let (out, memory_bytes) = (folder.path(), MEMORY_BYTES);
         let kept = splats_from_above(&scene, &lattice, &mut tiles, 0.1, out, memory_bytes).unwrap();
-        assert_eq!(kept.left_out, 1, "only the red splat floats");
+        assert_eq!(kept.floats().iter().filter(|floats| **floats).count(), 1, "only the red splat floats");
         let mut colors = Tiles::new(folder.path(), lattice.size_px(), tile_px).unwrap();
         let painter = Painter { splats: kept.file(), frame: scene.frame, memory_bytes, threads: 2 };
         painter.paint(&lattice, &mut tiles, &mut colors, |_, _| ()).unwrap();

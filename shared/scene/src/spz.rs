@@ -63,9 +63,14 @@ pub fn write(path: &Path, splats: &Splats, version: Version) -> Result<(), Scene
 
 /// The bytes of an SPZ file of version 3 with these splats; `None` if a coordinate is beyond ±8,388,607.
 pub fn to_bytes(splats: &Splats) -> Option<Vec<u8>> {
+    to_bytes_of(splats, Version::V3)
+}
+
+/// As [`to_bytes`], of version 2, 3 or 4.
+pub(crate) fn to_bytes_of(splats: &Splats, version: Version) -> Option<Vec<u8>> {
     let fraction_bits = pack::fraction_bits(splats)?;
     let mut bytes = Vec::new();
-    pack::encode(&mut bytes, splats, fraction_bits, Version::V3).ok()?;
+    pack::encode(&mut bytes, splats, fraction_bits, version).ok()?;
     Some(bytes)
 }
 

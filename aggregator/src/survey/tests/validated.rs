@@ -16,12 +16,16 @@ with CopcReader.open(sys.argv[1]) as reader:
     assert len(reader.query()) == wanted
     assert 0 < len(reader.query(resolution=1.0)) <= wanted
 ";
-/// Fails unless the validator of Khronos finds neither errors nor warnings.
+/// Fails unless the validator of Khronos finds neither errors nor warnings. Its newest version, 2.0.0-dev.3.10, does not know
+/// KHR_gaussian_splatting, and takes the names of its attributes for wrong.
 const GLTF: &str = "
 const { validateBytes } = require('gltf-validator');
 const bytes = new Uint8Array(require('fs').readFileSync(process.argv[1]));
 validateBytes(bytes).then(({ issues }) => {
-    if (issues.numErrors + issues.numWarnings > 0) throw new Error(JSON.stringify(issues.messages));
+    const isUnknown = ({ code, pointer }) =>
+        code == 'MESH_PRIMITIVE_INVALID_ATTRIBUTE' && pointer.includes('/KHR_gaussian_splatting:');
+    const found = issues.messages.filter((issue) => issue.severity < 2 && !isUnknown(issue));
+    if (found.length > 0 || issues.truncated) throw new Error(JSON.stringify(found));
 });
 ";
 
@@ -31,6 +35,7 @@ pub(super) fn check(out: &Path, points: u64) {
     check_points(&out.join("points.laz"), points);
     check_meshes(out);
     check_tileset(&out.join("tileset.json"));
+    check_tileset(&out.join("splats/tileset.json"));
 }
 
 /// Where `.ci/run` installs validators.
@@ -77,7 +82,9 @@ fn check_meshes(out: &Path) {
     if !modules.join("gltf-validator").exists() {
         return skip("REQUIRE_GLTF_VALIDATOR", "gltf-validator is not installed");
     }
-    let tiles = std::fs::read_dir(out.join("tiles")).unwrap().map(|tile| tile.unwrap().path());
+    let folders = ["tiles", "splats"].map(|folder| std::fs::read_dir(out.join(folder)).unwrap());
+    let files = folders.into_iter().flatten().map(|file| file.unwrap().path());
+    let tiles = files.filter(|file| file.extension().is_some_and(|extension| extension == "glb"));
     for file in tiles.chain([out.join("mesh.glb")]) {
         run(Command::new("node").env("NODE_PATH", &modules).args(["-e", GLTF]).arg(file));
     }

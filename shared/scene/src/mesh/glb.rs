@@ -1,5 +1,4 @@
-//! Binary glTF 2.0 (Khronos, "glTF 2.0 Specification", §4.4): a header, a JSON chunk and a binary
-//! chunk.
+//! Meshes as binary glTF 2.0.
 
 use std::io::{self, Write};
 use std::path::Path;
@@ -8,7 +7,7 @@ use glam::DVec3;
 use serde_json::{Map, Value, json};
 
 use super::data::Mesh;
-use crate::{SceneError, atomic};
+use crate::{SceneError, glb};
 
 /// glTF's number for 16-bit unsigned integers as the components of an accessor.
 const UNSIGNED_SHORT: u32 = 5123;
@@ -22,8 +21,6 @@ const ARRAY_BUFFER: u32 = 34962;
 const ELEMENT_ARRAY_BUFFER: u32 = 34963;
 /// The extension for materials that are shown without light.
 const UNLIT: &str = "KHR_materials_unlit";
-/// Bytes of the headers of the file, of the JSON chunk and of the binary chunk.
-const HEADS_BYTES: u64 = 12 + 8 + 8;
 /// The quaternion (xyzw) of a rotation by -90° about x, which maps z to y.
 const Y_FROM_Z: [f32; 4] = [-std::f32::consts::FRAC_1_SQRT_2, 0.0, 0.0, std::f32::consts::FRAC_1_SQRT_2];
 
@@ -31,22 +28,8 @@ pub(super) fn write(path: &Path, mesh: &Mesh, extras: &Map<String, Value>) -> Re
     if mesh.triangles.is_empty() {
         return Err(SceneError::malformed(path, "a glb file needs triangles; write the points as .ply"));
     }
-    let (mut json, numbers_bytes) = describe(mesh, extras);
-    // The length of a chunk must be a multiple of four bytes. JSON is padded with spaces.
-    json.resize(json.len().next_multiple_of(4), b' ');
-    let total_bytes = HEADS_BYTES + json.len() as u64 + numbers_bytes;
-    let (Ok(total), Ok(numbers)) = (u32::try_from(total_bytes), u32::try_from(numbers_bytes)) else {
-        return Err(SceneError::malformed(path, "the mesh exceeds the 4 GiB of a glb file; write .ply"));
-    };
-    atomic::write(path, |out| {
-        out.write_all(b"glTF")?;
-        out.write_all([2, total, json.len() as u32].map(u32::to_le_bytes).as_flattened())?;
-        out.write_all(b"JSON")?;
-        out.write_all(&json)?;
-        out.write_all(&numbers.to_le_bytes())?;
-        out.write_all(b"BIN\0")?;
-        write_numbers(out, mesh)
-    })
+    let (document, numbers_bytes) = describe(mesh, extras);
+    glb::write(path, &document, numbers_bytes, "write the mesh as .ply", |out| write_numbers(out, mesh))
 }
 
 /// Buffer views and accessors of the arrays in the binary chunk, in file order.
@@ -71,8 +54,8 @@ impl Arrays {
     }
 }
 
-/// Returns the JSON, and the length in bytes of the binary chunk that the JSON describes.
-fn describe(mesh: &Mesh, extras: &Map<String, Value>) -> (Vec<u8>, u64) {
+/// Returns the document, and the length in bytes of the binary chunk that the JSON describes.
+fn describe(mesh: &Mesh, extras: &Map<String, Value>) -> (Value, u64) {
     let mut arrays = Arrays::default();
     let (min, max) = bounds(mesh);
     let vertices = mesh.positions.len();
@@ -118,7 +101,7 @@ fn describe(mesh: &Mesh, extras: &Map<String, Value>) -> (Vec<u8>, u64) {
     if mesh.normals.is_empty() {
         document["extensionsUsed"] = json!([UNLIT]);
     }
-    (document.to_string().into_bytes(), arrays.bytes)
+    (document, arrays.bytes)
 }
 
 /// Minimum and maximum coordinates of the positions, which glTF requires.

@@ -1,13 +1,16 @@
 //! `tileset.json` of 3D Tiles 1.1 (OGC 22-025r4): which tile is where, and how wrong it is.
 //!
-//! What it knows nothing about: triangles.
+//! What it knows nothing about: what the tiles show.
 
 use std::collections::BTreeMap;
+use std::fs;
+use std::path::Path;
 
+use cosurf_scene::SceneError;
 use glam::{DAffine3, DVec3};
 use serde_json::{Value, json};
 
-use crate::survey::quadtree::{Key, parent};
+use super::quadtree::{Key, parent};
 
 /// How many times as wrong as the root nothing at all is.
 const NOTHING: f64 = 4.0;
@@ -24,6 +27,17 @@ impl Bounds {
     pub(super) fn around(positions: impl Iterator<Item = DVec3>) -> Self {
         let nothing = Self { low: DVec3::INFINITY, high: DVec3::NEG_INFINITY };
         positions.fold(nothing, |bounds, at| Self { low: bounds.low.min(at), high: bounds.high.max(at) })
+    }
+
+    /// The box around both.
+    fn joined(&self, other: &Self) -> Self {
+        Self { low: self.low.min(other.low), high: self.high.max(other.high) }
+    }
+
+    /// Its area seen from above, square metres.
+    pub(super) fn area_m2(&self) -> f64 {
+        let across = self.high - self.low;
+        across.x * across.y
     }
 
     /// The specification's twelve numbers: the middle, and half of each side.
@@ -44,9 +58,7 @@ pub(super) struct Tile {
 impl Tile {
     /// A tile that covers both, as wrong as the worse one.
     pub(super) fn joined(&self, other: &Self) -> Self {
-        let (a, b) = (self.bounds, other.bounds);
-        let bounds = Bounds { low: a.low.min(b.low), high: a.high.max(b.high) };
-        Self { bounds, error_m: self.error_m.max(other.error_m) }
+        Self { bounds: self.bounds.joined(&other.bounds), error_m: self.error_m.max(other.error_m) }
     }
 }
 
@@ -56,14 +68,28 @@ pub(super) fn name(depth: u32, key: Key) -> String {
 }
 
 /// Whether a file may be a tile, by its name.
-pub(super) fn is_name(name: &str) -> bool {
+fn is_name(name: &str) -> bool {
     let number = |text: &str| text.parse::<u32>().is_ok();
     let parts = name.strip_suffix(".glb").and_then(|stem| stem.split_once('-'));
     parts.is_some_and(|(depth, key)| number(depth) && number(key))
 }
 
-/// The content of the file. `tiles` has the root, `(0, 0)`, and with each tile the one above it.
-pub(super) fn tileset(tiles: &BTreeMap<(u32, Key), Tile>, folder: &str, ecef_from_enu: DAffine3) -> Value {
+/// Makes a folder for tiles, and removes those of an earlier run from it.
+pub(super) fn make_folder(folder: &Path) -> Result<(), SceneError> {
+    let failed = |cause| SceneError::io(folder, cause);
+    fs::create_dir_all(folder).map_err(failed)?;
+    for entry in fs::read_dir(folder).map_err(failed)? {
+        let path = entry.map_err(failed)?.path();
+        if path.file_name().and_then(|name| name.to_str()).is_some_and(is_name) {
+            fs::remove_file(&path).map_err(|cause| SceneError::io(&path, cause))?;
+        }
+    }
+    Ok(())
+}
+
+/// The content of the file. `tiles` has the root, `(0, 0)`, and with each tile the one above it. Names of files begin with
+/// `prefix`. Tiles are in a frame of metres, `ecef_from_tiles`.
+pub(super) fn tileset(tiles: &BTreeMap<(u32, Key), Tile>, prefix: &str, ecef_from_tiles: DAffine3) -> Value {
     let mut done: BTreeMap<(u32, Key), Value> = BTreeMap::new();
     let mut children: BTreeMap<(u32, Key), Vec<Value>> = BTreeMap::new();
     for ((depth, key), tile) in tiles.iter().rev() {
@@ -71,7 +97,7 @@ pub(super) fn tileset(tiles: &BTreeMap<(u32, Key), Tile>, folder: &str, ecef_fro
             "boundingVolume": {"box": tile.bounds.numbers()},
             "geometricError": tile.error_m,
             "refine": "REPLACE",
-            "content": {"uri": format!("{folder}/{}", name(*depth, *key))},
+            "content": {"uri": format!("{prefix}{}", name(*depth, *key))},
         });
         if let Some(mut children) = children.remove(&(*depth, *key)) {
             children.reverse();
@@ -83,7 +109,7 @@ pub(super) fn tileset(tiles: &BTreeMap<(u32, Key), Tile>, folder: &str, ecef_fro
         }
     }
     let mut root = done.remove(&(0, 0)).unwrap_or_default();
-    root["transform"] = json!(glam::DMat4::from(ecef_from_enu).to_cols_array());
+    root["transform"] = json!(glam::DMat4::from(ecef_from_tiles).to_cols_array());
     let error_m = tiles.get(&(0, 0)).map_or(0.0, |root| {
         let across_m = (root.bounds.high - root.bounds.low).max_element();
         (NOTHING * root.error_m).max(across_m)
