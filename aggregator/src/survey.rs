@@ -89,7 +89,8 @@ use witnesses::Witnesses;
 /// Usual difference of height between two contours, metres.
 pub const CONTOURS_M: f64 = 1.0;
 
-/// Bytes for writing a map: its writer holds a tile and its overviews, seven tiles in all. Measured with the largest pixels.
+/// Bytes for writing a map of four tiles with the largest pixels: seven tiles, as measured. Known weakness: the writer keeps up
+/// to 16 tiles for its overviews, so that larger maps take up to 36 MiB more, whatever the limit.
 const WRITING_BYTES: u64 = 7 * (lattice::TILE_PX * lattice::TILE_PX) as u64 * size_of::<Claim>() as u64;
 /// The smallest memory limit for any survey, bytes.
 const LEAST_BYTES: u64 = PROCESS_BYTES + WRITING_BYTES;
