@@ -8,7 +8,8 @@
 //!
 //! The memory is that of the fusion. The cameras are rendered again beside the mesh, in the memory that it leaves: the
 //! fusion counts more for each of its vertices, so pictures have the same size. The splats of the map's colours are in a file,
-//! and read for as many tiles as there is memory for. All that follows needs [`WRITING_BYTES`]: it works on one tile at a time.
+//! and read for as many tiles as there is memory for. All that follows works on a few tiles at a time
+//! ([`writing_bytes`]).
 //!
 //! What it knows nothing about: how the model was made, command lines. The world of the model must be ENU metres
 //! about the origin of a site ([`cosurf_geo`]).
@@ -89,11 +90,17 @@ use witnesses::Witnesses;
 /// Usual difference of height between two contours, metres.
 pub const CONTOURS_M: f64 = 1.0;
 
-/// Bytes for writing a map of four tiles with the largest pixels: seven tiles, as measured. Known weakness: the writer keeps up
-/// to 16 tiles for its overviews, so that larger maps take up to 36 MiB more, whatever the limit.
-const WRITING_BYTES: u64 = 7 * (lattice::TILE_PX * lattice::TILE_PX) as u64 * size_of::<Claim>() as u64;
+/// Bytes of a tile with the largest pixels.
+const TILE_BYTES: u64 = (lattice::TILE_PX * lattice::TILE_PX) as u64 * size_of::<Claim>() as u64;
+/// Tiles in the memory while a map is written, beside those that the writer keeps for its overviews: as measured with a map of
+/// four tiles.
+const TILES_BESIDE: u64 = 3;
+/// Most tiles that the writer keeps (`geotiff-writer`, the cache of its tiles).
+const TILES_KEPT_MAX: u64 = 16;
+/// Tiles of a map that any survey may write.
+const TILES_LEAST: u64 = 4;
 /// The smallest memory limit for any survey, bytes.
-const LEAST_BYTES: u64 = PROCESS_BYTES + WRITING_BYTES;
+const LEAST_BYTES: u64 = PROCESS_BYTES + (TILES_LEAST + TILES_BESIDE) * TILE_BYTES;
 
 /// What to make.
 #[derive(Clone, Debug)]
@@ -207,6 +214,21 @@ fn check_memory(scene: &Scene, order: &SurveyOrder) -> Result<(), SurveyError> {
     }
 }
 
+/// Bytes that the process takes while a map of this size is written.
+fn writing_bytes(size_px: [u32; 2]) -> u64 {
+    let tiles: u64 = size_px.map(|side| u64::from(side.div_ceil(lattice::TILE_PX))).iter().product();
+    PROCESS_BYTES + (tiles.clamp(TILES_LEAST, TILES_KEPT_MAX) + TILES_BESIDE) * TILE_BYTES
+}
+
+/// Refuses a map whose writing takes more than the limit.
+fn check_map(lattice: &Lattice, memory_bytes: u64) -> Result<(), SurveyError> {
+    let (size_px, needed_bytes) = (lattice.size_px(), writing_bytes(lattice.size_px()));
+    match needed_bytes <= memory_bytes {
+        true => Ok(()),
+        false => Err(SurveyError::LittleForMap { size_px, needed_bytes, memory_bytes }),
+    }
+}
+
 /// What the mesh gives.
 struct Shape {
     lattice: Lattice,
@@ -243,6 +265,7 @@ impl Shape {
         floaters.leave_out(&mut ground.is_seen);
         let gsd_m = order.gsd_m.unwrap_or(ground.gsd_m);
         let lattice = Lattice::around(place, &ground.extent, gsd_m)?;
+        check_map(&lattice, order.memory_bytes)?;
         let place = lattice.place();
         let points = write_points(&out.join("points.laz"), &mesh, &ground.is_seen, place, &scene.frame)?;
         let tree = Quadtree::of(&mesh, &ground.is_seen).ok_or(SurveyError::NothingSeen)?;

@@ -28,6 +28,16 @@ pub enum SurveyError {
         /// The memory limit, bytes.
         memory_bytes: u64,
     },
+    /// The memory is too small to write a map of this size.
+    #[error("a map of {} × {} px needs {} of memory, but the limit is {}; allow more memory (--memory), or larger pixels (--gsd)", size_px[0], size_px[1], format_bytes(*needed_bytes), format_bytes(*memory_bytes))]
+    LittleForMap {
+        /// Width and height, px.
+        size_px: [u32; 2],
+        /// A memory limit that suffices, bytes.
+        needed_bytes: u64,
+        /// The memory limit, bytes.
+        memory_bytes: u64,
+    },
     /// No three cameras show the same ground.
     #[error(
         "no three cameras show the same ground, so there is nothing to measure; use a model of pictures that overlap"
