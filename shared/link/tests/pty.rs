@@ -80,7 +80,7 @@ fn carry(
             while let Some(first) = arriving.first_entry()
                 && first.key().0 <= begun.elapsed()
             {
-                to.write_all(&first.remove()).unwrap();
+                write_all(&mut to, &first.remove(), &is_over);
             }
             let read = from.read(&mut buffer).unwrap_or(0);
             for byte in &buffer[..read] {
@@ -95,6 +95,17 @@ fn carry(
             }
         }
     })
+}
+
+/// Writes all bytes, however long the reader takes on a busy computer, or until `is_over`.
+fn write_all(to: &mut TTYPort, mut bytes: &[u8], is_over: &AtomicBool) {
+    while !bytes.is_empty() && !is_over.load(Ordering::Relaxed) {
+        match to.write(bytes) {
+            Ok(count) => bytes = &bytes[count..],
+            Err(error) if error.kind() == io::ErrorKind::TimedOut => {}
+            Err(error) => panic!("{error}"),
+        }
+    }
 }
 
 /// Sends `count` bytes in messages of 16,000 bytes. Returns the goodput as a share of the line's bandwidth.
