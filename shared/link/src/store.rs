@@ -97,8 +97,9 @@ impl ModelStore {
 
     /// Writes a model. The model survives a power cut once this function has returned.
     pub fn put(&self, header: &ModelHeader, body: &[u8]) -> Result<(), StoreError> {
-        atomic::write(&self.path(header.into()), |out| {
-            out.write_all(&head_of(header))?;
+        let head = head_of(header);
+        atomic::write_sized(&self.path(header.into()), (head.len() + body.len()) as u64, |out| {
+            out.write_all(&head)?;
             out.write_all(body)
         })?;
         Ok(())
