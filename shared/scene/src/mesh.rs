@@ -8,11 +8,13 @@ mod obj;
 mod ply;
 #[cfg(test)]
 mod tests;
+mod texture;
 
 use std::path::Path;
 
 use crate::SceneError;
 pub use data::Mesh;
+pub use texture::Texture;
 
 impl Mesh {
     /// Reads a PLY, ascii or binary little-endian, with numbers of any type. Properties other than positions, normals,
@@ -49,7 +51,21 @@ impl Mesh {
     /// Writes a Wavefront OBJ in world coordinates, atomically. `comment` is its first line.
     pub fn write_obj(&self, path: &Path, comment: &str) -> Result<(), SceneError> {
         self.assert_whole();
-        obj::write(path, self, comment)
+        obj::write(path, self, None, comment)
+    }
+
+    /// As [`Mesh::write_obj`], with a texture instead of colours. Also writes its material, a file beside `path` with the
+    /// extension `.mtl`, which names the picture: that must lie in the same folder. Panics unless each vertex is on the picture.
+    pub fn write_textured_obj(
+        &self,
+        path: &Path,
+        texture: &Texture,
+        comment: &str,
+    ) -> Result<(), SceneError> {
+        self.assert_whole();
+        assert_eq!(texture.uv.len(), self.positions.len(), "each vertex is on the picture");
+        obj::write_material(&path.with_extension("mtl"), texture)?;
+        obj::write(path, self, Some(texture), comment)
     }
 
     /// Writes a binary glTF 2.0 file, atomically. The world's z axis is taken as up, as in the drone scenes; a rotation
@@ -62,6 +78,19 @@ impl Mesh {
         extras: &serde_json::Map<String, serde_json::Value>,
     ) -> Result<(), SceneError> {
         self.assert_whole();
-        glb::write(path, self, extras)
+        glb::write(path, self, None, extras)
+    }
+
+    /// As [`Mesh::write_glb`], with a texture instead of colours. The picture is copied into the file. Panics unless each vertex
+    /// is on the picture.
+    pub fn write_textured_glb(
+        &self,
+        path: &Path,
+        texture: &Texture,
+        extras: &serde_json::Map<String, serde_json::Value>,
+    ) -> Result<(), SceneError> {
+        self.assert_whole();
+        assert_eq!(texture.uv.len(), self.positions.len(), "each vertex is on the picture");
+        glb::write(path, self, Some(texture), extras)
     }
 }

@@ -184,6 +184,44 @@ fn glb_files_have_extras_and_show_colours_as_they_are_without_normals() {
     assert_eq!(flat["asset"]["extras"]["epsg"], 2180);
 }
 
+/// The picture is whole in the file, and no colours of vertices are there to be multiplied with it.
+#[test]
+fn textures_are_in_the_glb_and_beside_the_obj() {
+    let folder = tempfile::tempdir().unwrap();
+    let at = |name: &str| folder.path().join(name);
+    fs::write(at("a.jpg"), [7; 9]).unwrap();
+    let texture =
+        Texture { uv: vec![[0.0, 0.25], [1.0, 0.25], [0.0, 1.0], [0.5, 0.5]], picture: at("a.jpg") };
+    let bare = Mesh { normals: Vec::new(), ..corner() };
+    bare.write_textured_glb(&at("a.glb"), &texture, &serde_json::Map::new()).unwrap();
+    let bytes = fs::read(at("a.glb")).unwrap();
+    let json_end = 20 + u32::from_le_bytes(bytes[12..16].try_into().unwrap()) as usize;
+    let json: Value = serde_json::from_slice(&bytes[20..json_end]).unwrap();
+    let numbers = &bytes[json_end + 8..];
+    assert_eq!(numbers.len(), json["buffers"][0]["byteLength"].as_u64().unwrap() as usize);
+    let view = |index: &Value| {
+        let view = &json["bufferViews"][index.as_u64().unwrap() as usize];
+        let begin = view["byteOffset"].as_u64().unwrap() as usize;
+        &numbers[begin..begin + view["byteLength"].as_u64().unwrap() as usize]
+    };
+    let attributes = &json["meshes"][0]["primitives"][0]["attributes"];
+    assert!(attributes.get("COLOR_0").is_none());
+    let uv = view(&json["accessors"][attributes["TEXCOORD_0"].as_u64().unwrap() as usize]["bufferView"]);
+    assert_eq!(uv[8..16], [1.0f32, 0.25].map(f32::to_le_bytes).concat());
+    assert_eq!(view(&json["images"][0]["bufferView"]), [7; 9]);
+    assert_eq!(json["materials"][0]["pbrMetallicRoughness"]["baseColorTexture"]["index"], 0);
+
+    bare.write_textured_obj(&at("a.obj"), &texture, "of a test").unwrap();
+    let text = fs::read_to_string(at("a.obj")).unwrap();
+    let lines: Vec<&str> = text.lines().collect();
+    assert_eq!(lines[..4], ["# of a test", "mtllib a.mtl", "usemtl surface", "v 0 0 0"]);
+    assert_eq!((lines[7], lines[11]), ("vt 0.000000 0.750000", "f 1/1 3/3 2/2"));
+    assert!(fs::read_to_string(at("a.mtl")).unwrap().ends_with("\nmap_Kd a.jpg\n"));
+    fs::remove_file(at("a.jpg")).unwrap();
+    let missing = bare.write_textured_glb(&at("b.glb"), &texture, &serde_json::Map::new()).unwrap_err();
+    assert!(missing.to_string().contains("a.jpg"), "{missing}");
+}
+
 #[test]
 fn the_worlds_z_axis_is_up_in_gltf() {
     let json_of = |bytes: &[u8]| -> Value {
