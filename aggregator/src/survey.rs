@@ -8,8 +8,8 @@
 //!
 //! The memory is that of the fusion. The cameras are rendered again beside the mesh, in the memory that it leaves: the
 //! fusion counts more for each of its vertices, so pictures have the same size. The splats of the map's colours are in a file,
-//! and read for as many tiles as there is memory for. All that follows works on a few tiles at a time
-//! ([`writing_bytes`]).
+//! and read for as many tiles as there is memory for. The picture of the mesh takes what the mesh leaves, with fewer pixels or
+//! not at all if that is little. All that follows works on a few tiles at a time ([`writing_bytes`]).
 //!
 //! What it knows nothing about: how the model was made, command lines. The world of the model must be ENU metres
 //! about the origin of a site ([`cosurf_geo`]).
@@ -77,7 +77,7 @@ use points::write_points;
 use quadtree::Quadtree;
 pub use scene::FusedMesh;
 use scene::{Relief, Scene};
-use solid::{SolidSize, write_solid};
+use solid::{Shown, SolidSize, write_solid};
 use splat_tiles::{SplatTiles, write_splat_tiles};
 use splats::splats_from_above;
 use terrain::find_terrain;
@@ -146,9 +146,9 @@ pub enum SurveyEvent {
     },
 }
 
-/// Makes all files: the maps `dsm.tif`, `dtm.tif`, `ortho.tif` and `confidence.tif`, `points.laz`, `mesh.glb`, `mesh.obj`,
-/// `tileset.json` with its tiles, `splats/tileset.json` with its tiles, `contours.geojson`, `volumes.json` if polygons are given, and last `accuracy.json`, so
-/// that its presence tells that the others are complete.
+/// Makes all files: the maps `dsm.tif`, `dtm.tif`, `ortho.tif` and `confidence.tif`, `points.laz`, `mesh.glb`, `mesh.obj`
+/// with `mesh.mtl` and `mesh.jpg`, `tileset.json` with its tiles, `splats/tileset.json` with its tiles, `contours.geojson`,
+/// `volumes.json` if polygons are given, and last `accuracy.json`, so that its presence tells that the others are complete.
 pub fn survey(order: &SurveyOrder, mut on_event: impl FnMut(SurveyEvent)) -> Result<Accuracy, SurveyError> {
     let place = Place::new(&order.georeference, order.geoid.as_deref())?;
     // Read before the mesh is made, so that a wrong file is reported at once.
@@ -269,7 +269,11 @@ impl Shape {
         let place = lattice.place();
         let points = write_points(&out.join("points.laz"), &mesh, &ground.is_seen, place, &scene.frame)?;
         let tree = Quadtree::of(&mesh, &ground.is_seen).ok_or(SurveyError::NothingSeen)?;
-        let solid = write_solid(out, &mesh, &tree, &scene.frame, place, voxel_m)?;
+        let held_bytes = parts::bytes(&mesh) + tree.bytes() + size_of_val(&ground.is_seen[..]) as u64;
+        let bytes = order.memory_bytes.saturating_sub(PROCESS_BYTES + held_bytes);
+        let mut on_view = |d, n| show("view", "painting", d, n);
+        let shown = Shown { depths: &mut depths, gsd_m: ground.gsd_m, bytes, on_view: &mut on_view };
+        let solid = write_solid(out, &mesh, &tree, &scene.frame, place, voxel_m, shown)?;
         let surface = Surface { mesh: &mesh, tree: &tree, frame: &scene.frame, ceiling_m: ground.ceiling_m };
         let mut heights = Tiles::new(out, lattice.size_px(), lattice::TILE_PX)?;
         let on_tile = |d, n| show("tile", "heights", d, n);

@@ -108,8 +108,16 @@ fn one_command_makes_deliverables_of_photographs() {
         .output()
         .unwrap();
     assert!(run.status.success(), "{}", String::from_utf8_lossy(&run.stderr));
-    let made =
-        ["dsm.tif", "dtm.tif", "ortho.tif", "confidence.tif", "points.laz", "mesh.glb", "tileset.json"];
+    let made = [
+        "dsm.tif",
+        "dtm.tif",
+        "ortho.tif",
+        "confidence.tif",
+        "points.laz",
+        "mesh.glb",
+        "mesh.jpg",
+        "tileset.json",
+    ];
     for file in made.into_iter().chain(["contours.geojson", "accuracy.json"]) {
         assert!(out.join("survey").join(file).is_file(), "{file} is missing");
     }

@@ -19,9 +19,10 @@ use super::host::{cores, display};
 ///
 /// Writes to the folder OUT: dsm.tif (heights of the highest surface: ground, roofs and trees), dtm.tif (heights of the bare
 /// ground), ortho.tif (a true orthophoto) and confidence.tif (views of each pixel, how far apart they are, and how wrong its
-/// height may be), all Cloud-Optimised GeoTIFF; points.laz, a Cloud-Optimised Point Cloud; mesh.glb and mesh.obj; tileset.json and the
-/// folder tiles, the mesh as 3D Tiles; splats/tileset.json, the splats as 3D Tiles; contours.geojson, of the bare ground; volumes.json with --volumes; and accuracy.json,
-/// last. Heights are metres above the ellipsoid of WGS 84, or above a geoid with --geoid.
+/// height may be), all Cloud-Optimised GeoTIFF; points.laz, a Cloud-Optimised Point Cloud; mesh.glb and mesh.obj, with the
+/// picture mesh.jpg; tileset.json and the folder tiles, the mesh as 3D Tiles; splats/tileset.json, the splats as 3D Tiles;
+/// contours.geojson, of the bare ground; volumes.json with --volumes; and accuracy.json, last. Heights are metres above the
+/// ellipsoid of WGS 84, or above a geoid with --geoid.
 ///
 /// The world of the model must be metres east, north and up of an origin. geo.json in DIR tells where that is, or
 /// --origin does.

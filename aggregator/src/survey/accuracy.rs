@@ -39,6 +39,9 @@ pub struct Accuracy {
     pub triangles: usize,
     /// Bound on the error of `mesh.glb` and of the finest tiles, metres, by the estimate of the decimation.
     pub mesh_error_m: f64,
+    /// Side of a pixel of `mesh.jpg` on the surface, metres; absent if there was too little memory for it, so that colours
+    /// belong to vertices.
+    pub texel_m: Option<f64>,
     /// Number of levels of detail in `tileset.json`.
     pub tile_levels: usize,
     /// Number of cameras.
@@ -115,6 +118,7 @@ pub(super) fn accuracy_of(
         voxel_m,
         triangles: solid.triangles,
         mesh_error_m: solid.error_m,
+        texel_m: solid.texel_m,
         tile_levels: solid.levels,
         cameras,
         splats: splats.splats,
@@ -124,23 +128,31 @@ pub(super) fn accuracy_of(
         control: PointsAccuracy::of(&residuals.control),
         check: PointsAccuracy::of(&residuals.check),
         drones: georeference.drones.clone(),
-        made: made_files(contours_m, has_volumes),
+        made: made_files(contours_m, solid.texel_m, has_volumes),
     }
 }
 
-fn made_files(contours_m: f64, has_volumes: bool) -> Vec<MadeFile> {
+fn made_files(contours_m: f64, texel_m: Option<f64>, has_volumes: bool) -> Vec<MadeFile> {
+    let colors = match texel_m {
+        Some(_) => "Its picture is mesh.jpg.",
+        None => "Colours belong to vertices, because there was too little memory for a picture.",
+    };
     let mut files = vec![
         ("dsm.tif", "Highest surface of a mesh, at the centre of each pixel, if three cameras show it and few look through it; the mesh was fused from the model's depth in all cameras.".into()),
         ("dtm.tif", "Heights of dsm.tif where the progressive morphological filter (Zhang et al. 2003) finds bare ground, and between them heights of the ground around.".into()),
         ("ortho.tif", "The splats of the model, rendered from straight above each pixel, without those that float above the mesh.".into()),
         ("confidence.tif", "How many views show the surface of dsm.tif at each pixel; the root mean square of the differences between the heights they show and dsm.tif, metres; and the error that about 68 % of such heights stay below, metres, by a model of views, differences and edges that was fitted to two known surfaces.".into()),
         ("points.laz", "The vertices of the mesh that two cameras see and that no more views look through than show, with its colours, as a Cloud-Optimised Point Cloud.".into()),
-        ("mesh.glb", "The mesh without the other vertices, decimated by quadric errors of position and colour; colours belong to vertices. Its heights are above the origin.".into()),
+        ("mesh.glb", format!("The mesh without the other vertices, decimated by quadric errors of position and colour. {colors} Its heights are above the origin.")),
         ("mesh.obj", "The triangles of mesh.glb in the coordinate system and with the heights of the maps, minus the whole kilometres that its first line tells.".into()),
         ("tileset.json", "The same mesh as a quadtree of tiles, each level decimated further; its place is earth-centred, so it needs no geoid.".into()),
         ("splats/tileset.json", "The splats of the model without those that float above the mesh, as a quadtree of tiles of glTF with SPZ; each level has a quarter of the splats of the level below, enlarged to cover as much.".into()),
         ("contours.geojson", format!("Lines every {contours_m} m, by marching squares through means of dtm.tif.")),
     ];
+    if let Some(texel_m) = texel_m {
+        files.push(("mesh.jpg", format!("The colours of mesh.glb and mesh.obj, in pixels of {texel_m:.3} m: the mean of what the cameras show that see the place, weighted by the fourth power of their pixels per metre of the surface; of the vertices where none does.")));
+        files.push(("mesh.mtl", "Names mesh.jpg as the picture of mesh.obj.".into()));
+    }
     if has_volumes {
         files.push((
             "volumes.json",

@@ -1,6 +1,6 @@
-//! The depth that each camera of a model shows: rendered once, kept in a file without a name, and read again.
+//! The depths and colours that each camera of a model shows: rendered once, kept in a file without a name, and read again.
 //!
-//! What it knows nothing about: what depths are compared with.
+//! What it knows nothing about: what depths are compared with, and what is painted with the colours.
 
 use std::fs::File;
 use std::io::{Read, Seek, Write};
@@ -12,6 +12,9 @@ use cosurf_scene::{Camera, SceneError};
 /// Below this alpha a picture shows too little to have a depth.
 const ALPHA_LEAST: f32 = 0.5;
 
+/// Bytes of a pixel: its depth and its colour.
+const PIXEL_BYTES: u64 = (size_of::<f32>() + size_of::<[u8; 3]>()) as u64;
+
 /// What a camera shows.
 #[derive(Debug)]
 pub(super) struct DepthMap {
@@ -19,6 +22,8 @@ pub(super) struct DepthMap {
     pub(super) camera: Camera,
     /// For each pixel, row by row: depth along the optical axis, metres; 0 where nothing is shown.
     pub(super) depth_m: Vec<f32>,
+    /// For each pixel: its colour, 8-bit sRGB.
+    pub(super) rgb: Vec<[u8; 3]>,
 }
 
 impl DepthMap {
@@ -28,11 +33,16 @@ impl DepthMap {
         let depth_m = shown
             .map(|(depth, alpha)| if *alpha < ALPHA_LEAST { 0.0 } else { depth * unit_m as f32 })
             .collect();
-        Self { camera: *camera, depth_m }
+        // Renderings have a black background, which shows through where alpha is below 1.
+        let whole = |(rgb, alpha): (&[f32], &f32)| {
+            [0, 1, 2].map(|k| (255.0 * rgb[k] / alpha.max(ALPHA_LEAST)).round() as u8)
+        };
+        let rgb = rendering.rgb.chunks_exact(3).zip(&rendering.alpha).map(whole).collect();
+        Self { camera: *camera, depth_m, rgb }
     }
 }
 
-/// The depth maps of all cameras. They take 4 bytes of disk for each pixel.
+/// The depth maps of all cameras. They take [`PIXEL_BYTES`] of disk for each pixel.
 #[derive(Debug)]
 pub(super) struct Depths {
     file: File,
@@ -50,15 +60,22 @@ impl Depths {
 
     /// Adds a map behind those that are there.
     pub(super) fn push(&mut self, map: &DepthMap) -> Result<(), SceneError> {
-        let written = self.file.write_all(bytemuck::cast_slice(&map.depth_m));
-        written.map_err(|cause| SceneError::io(&self.folder, cause))?;
+        for bytes in [bytemuck::cast_slice(&map.depth_m), map.rgb.as_flattened()] {
+            self.file.write_all(bytes).map_err(|cause| SceneError::io(&self.folder, cause))?;
+        }
         self.cameras.push(map.camera);
         Ok(())
     }
 
+    /// Size of the largest map, bytes: [`Self::each`] holds one.
+    pub(super) fn largest_bytes(&self) -> u64 {
+        let pixels = self.cameras.iter().map(|camera| camera.size_px.map(u64::from).iter().product::<u64>());
+        pixels.max().unwrap_or_default() * PIXEL_BYTES
+    }
+
     /// Calls `visit` with the number of maps so far and in all, and each map, in the order in which they were added.
     pub(super) fn each<E: From<SceneError>>(
-        mut self,
+        &mut self,
         mut visit: impl FnMut([usize; 2], &DepthMap) -> Result<(), E>,
     ) -> Result<(), E> {
         let failed = |cause| SceneError::io(&self.folder, cause);
@@ -67,7 +84,9 @@ impl Depths {
             let [width, height] = camera.size_px.map(|side| side as usize);
             let mut depth_m = vec![0.0; width * height];
             self.file.read_exact(bytemuck::cast_slice_mut(&mut depth_m)).map_err(failed)?;
-            visit([i + 1, self.cameras.len()], &DepthMap { camera: *camera, depth_m })?;
+            let mut rgb = vec![[0; 3]; width * height];
+            self.file.read_exact(rgb.as_flattened_mut()).map_err(failed)?;
+            visit([i + 1, self.cameras.len()], &DepthMap { camera: *camera, depth_m, rgb })?;
         }
         Ok(())
     }
@@ -88,13 +107,14 @@ mod tests {
             let pixels = (camera.size_px[0] * camera.size_px[1]) as usize;
             let mut alpha = vec![0.5; pixels];
             alpha[1] = 0.49;
-            let (rgb, normal) = (Vec::new(), Vec::new());
+            let (rgb, normal) = ([0.2, 0.4, 1.5].repeat(pixels), Vec::new());
             let depth = vec![4.0 + i as f32; pixels];
             let rendering = Rendering { size_px: camera.size_px, rgb, alpha, depth, normal };
             depths.push(&DepthMap::of(camera, &rendering, 2.0)).unwrap();
         }
         let mut found = Vec::new();
         let visited = depths.each(|counts, map| {
+            assert_eq!(map.rgb, vec![[102, 204, 255]; map.depth_m.len()]);
             found.push((counts, map.camera, map.depth_m.clone()));
             Ok::<(), SceneError>(())
         });
@@ -104,5 +124,6 @@ mod tests {
             ([2, 2], cameras[1], vec![10.0, 0.0, 10.0, 10.0]),
         ];
         assert_eq!(found, wanted);
+        assert_eq!(depths.largest_bytes(), 6 * 7);
     }
 }

@@ -6,6 +6,7 @@ use cosurf_scene::{LocalFrame, Mesh};
 use rayon::prelude::*;
 
 use super::depths::DepthMap;
+use super::parts;
 use super::views::{Picture, Views};
 
 /// The views of the vertices of a mesh, counted one map after the other.
@@ -26,9 +27,7 @@ impl<'a> Floaters<'a> {
 
     /// Bytes of the mesh, and of the counts and flags of its vertices.
     pub(super) fn held_bytes(&self, is_seen: &[bool]) -> u64 {
-        let Mesh { positions, rgb, triangles, .. } = self.mesh;
-        let mesh = size_of_val(&positions[..]) + size_of_val(&rgb[..]) + size_of_val(&triangles[..]);
-        (mesh + size_of_val(&self.views[..]) + size_of_val(is_seen)) as u64
+        parts::bytes(self.mesh) + (size_of_val(&self.views[..]) + size_of_val(is_seen)) as u64
     }
 
     /// Counts what a camera shows of the vertices that are seen.

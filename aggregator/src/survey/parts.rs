@@ -4,6 +4,13 @@
 
 use cosurf_scene::Mesh;
 
+/// Size of a mesh in memory, bytes.
+pub(super) fn bytes(mesh: &Mesh) -> u64 {
+    let Mesh { positions, normals, rgb, triangles, .. } = mesh;
+    let sizes = [size_of_val(&positions[..]), size_of_val(&normals[..]), size_of_val(&rgb[..])];
+    (sizes.iter().sum::<usize>() + size_of_val(&triangles[..])) as u64
+}
+
 /// The vertices of some triangles, ascending.
 pub(super) fn vertices(triangles: &[[u32; 3]]) -> Vec<u32> {
     let mut vertices = triangles.as_flattened().to_vec();

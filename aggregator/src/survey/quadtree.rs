@@ -78,6 +78,12 @@ impl Quadtree {
         Some(Self { depth, order, begins, bounds })
     }
 
+    /// Size in memory, bytes.
+    pub(super) fn bytes(&self) -> u64 {
+        let Self { order, begins, bounds, .. } = self;
+        (size_of_val(&order[..]) + size_of_val(&begins[..]) + size_of_val(&bounds[..])) as u64
+    }
+
     /// Depth of the leaves; the root has 0.
     pub(super) fn depth(&self) -> u32 {
         self.depth

@@ -5,14 +5,16 @@
 //! joined and decimated further, are the tile above them, and so on to the root. Vertices on the border between two tiles of
 //! one level stay, so neighbours fit together. `mesh.glb` is all leaves together.
 //!
-//! Colours belong to vertices, not to a picture: walls and the lower sides of roofs have colours of their own then, which an
-//! orthophoto cannot give, and decimation keeps vertices where colours change.
+//! The colours of `mesh.glb` and `mesh.obj` are a picture, `mesh.jpg`, painted with what the cameras show; if there is too
+//! little memory for it, they belong to the vertices. Those of tiles always do, and decimation keeps vertices where colours
+//! change.
 //!
 //! What it knows nothing about: how the mesh was made, maps.
 //!
 //! Where to start reading: [`write_solid`]; [`decimate`] has the error bound.
 
 mod decimate;
+mod texture;
 
 use std::collections::BTreeMap;
 use std::path::Path;
@@ -23,12 +25,15 @@ use glam::DVec3;
 use rayon::prelude::*;
 use serde_json::{Map, Value, json};
 
+use super::depths::Depths;
 use super::error::SurveyError;
 use super::parts;
 use super::place::Place;
 use super::quadtree::{Key, Quadtree, parent, shared};
 use super::tileset::{self, Bounds, Tile, tileset};
+use crate::service::remove;
 use decimate::{Bound, Decimated, decimate};
+use texture::{TextureOrder, Textured, texture};
 
 /// Folder of the tiles.
 const FOLDER: &str = "tiles";
@@ -47,8 +52,21 @@ pub(super) struct SolidSize {
     pub(super) triangles: usize,
     /// Bound on its error, metres.
     pub(super) error_m: f64,
+    /// Side of a texel of `mesh.jpg`, metres; `None` if colours belong to vertices.
+    pub(super) texel_m: Option<f64>,
     /// Number of levels of detail of the tileset.
     pub(super) levels: usize,
+}
+
+/// What the cameras show, for the texture.
+pub(super) struct Shown<'a> {
+    pub(super) depths: &'a mut Depths,
+    /// Length that a pixel of the cameras covers on the surface, metres.
+    pub(super) gsd_m: f64,
+    /// Memory for the texture and for what [`write_solid`] itself holds, bytes.
+    pub(super) bytes: u64,
+    /// Gets the number of cameras that are painted, and of all.
+    pub(super) on_view: &'a mut dyn FnMut(usize, usize),
 }
 
 /// Writes the triangles of a tree. The mesh is in `frame`, with voxels of `voxel_m`.
@@ -59,6 +77,7 @@ pub(super) fn write_solid(
     frame: &LocalFrame,
     place: &Place,
     voxel_m: f64,
+    shown: Shown<'_>,
 ) -> Result<SolidSize, SurveyError> {
     let folder = out.join(FOLDER);
     tileset::make_folder(&folder)?;
@@ -79,10 +98,17 @@ pub(super) fn write_solid(
     let mut level: BTreeMap<Key, Node> = leaves.par_iter().map(leaf).collect();
     let all: Vec<[u32; 3]> = level.values().flat_map(|node| node.triangles.iter().copied()).collect();
     let whole = parts::part(mesh, &all).out_of_frame(frame);
-    whole.write_glb(&out.join("mesh.glb"), &extras(place))?;
-    write_obj(&out.join("mesh.obj"), whole, place)?;
-    let size = SolidSize { triangles: all.len(), error_m, levels: tree.depth() as usize + 1 };
+    let (triangles, levels) = (all.len(), tree.depth() as usize + 1);
+    let held_bytes = (size_of_val(&is_shared[..]) + 2 * size_of_val(&all[..])) as u64;
     drop(all);
+    let texel_m = write_whole(
+        out,
+        whole,
+        place,
+        voxel_m,
+        Shown { bytes: shown.bytes.saturating_sub(held_bytes), ..shown },
+    )?;
+    let size = SolidSize { triangles, error_m, texel_m, levels };
 
     let mut tiles = BTreeMap::new();
     for depth in (0..=tree.depth()).rev() {
@@ -102,9 +128,38 @@ pub(super) fn write_solid(
     Ok(size)
 }
 
-/// Writes a mesh of the world in the coordinates of the map, without their whole kilometres: tools that read OBJ have
-/// numbers of 32 bits.
-fn write_obj(path: &Path, mut mesh: Mesh, place: &Place) -> Result<(), SurveyError> {
+/// Writes a mesh of the world to `mesh.glb` and `mesh.obj`, with a texture if there is memory for it. Returns the side of a
+/// texel, metres.
+fn write_whole(
+    out: &Path,
+    mesh: Mesh,
+    place: &Place,
+    voxel_m: f64,
+    shown: Shown<'_>,
+) -> Result<Option<f64>, SurveyError> {
+    let [glb, obj, picture, material] =
+        ["mesh.glb", "mesh.obj", "mesh.jpg", "mesh.mtl"].map(|name| out.join(name));
+    for file in [&picture, &material] {
+        remove(file)?; // of an earlier run, which may have had more memory
+    }
+    let bytes = shown.bytes.saturating_sub(parts::bytes(&mesh));
+    let order = TextureOrder { picture, gsd_m: shown.gsd_m, voxel_m, bytes };
+    let Some(Textured { mesh, texture, texel_m }) = texture(&mesh, shown.depths, &order, shown.on_view)?
+    else {
+        mesh.write_glb(&glb, &extras(place))?;
+        let (mesh, comment) = on_map(mesh, place)?;
+        mesh.write_obj(&obj, &comment)?;
+        return Ok(None);
+    };
+    mesh.write_textured_glb(&glb, &texture, &extras(place))?;
+    let (mesh, comment) = on_map(mesh, place)?;
+    mesh.write_textured_obj(&obj, &texture, &comment)?;
+    Ok(Some(texel_m))
+}
+
+/// A mesh of the world in the coordinates of the map, without their whole kilometres, since tools that read OBJ have numbers
+/// of 32 bits; and a line that tells so.
+fn on_map(mut mesh: Mesh, place: &Place) -> Result<(Mesh, String), GeoError> {
     let map = |position: [f32; 3]| place.map_from_enu(mesh.origin + DVec3::from(position.map(f64::from)));
     let first = mesh.positions.first().map_or(Ok(DVec3::ZERO), |first| map(*first))?;
     let offset = ((first / OFFSET_STEP_M).floor() * OFFSET_STEP_M).truncate().extend(0.0);
@@ -118,7 +173,7 @@ fn write_obj(path: &Path, mut mesh: Mesh, place: &Place) -> Result<(), SurveyErr
         offset.x,
         offset.y
     );
-    Ok(mesh.write_obj(path, &comment)?)
+    Ok((mesh, comment))
 }
 
 /// A tile of the level that is worked on.
@@ -200,8 +255,10 @@ mod tests {
         fs::create_dir(out.path().join(FOLDER)).unwrap();
         fs::write(out.path().join("tiles/9-3.glb"), "of an earlier run").unwrap();
         let tree = Quadtree::of(&mesh, &vec![true; mesh.positions.len()]).unwrap();
-        let size = write_solid(out.path(), &mesh, &tree, &LocalFrame::WORLD, &place(), 0.1).unwrap();
-        assert_eq!(size.error_m, 0.05);
+        let mut depths = Depths::new(out.path()).unwrap();
+        let shown = Shown { depths: &mut depths, gsd_m: 0.2, bytes: 0, on_view: &mut |_, _| () };
+        let size = write_solid(out.path(), &mesh, &tree, &LocalFrame::WORLD, &place(), 0.1, shown).unwrap();
+        assert_eq!((size.error_m, size.texel_m), (0.05, None));
         assert!(size.levels > 1 && size.triangles < mesh.triangles.len() / 4, "{size:?}");
         let json: Value =
             serde_json::from_slice(&fs::read(out.path().join("tileset.json")).unwrap()).unwrap();

@@ -3,6 +3,7 @@
 
 mod memory;
 mod splat_tiles;
+mod textured;
 mod validated;
 
 use std::path::Path;
@@ -165,6 +166,8 @@ fn all_files_are_written_and_readers_understand_them() {
     assert!(levels.contains(&70.0) && levels.contains(&71.0) && levels.len() >= 5, "{levels:?}");
     check_with_gdal(&out("dsm.tif"), &out("ortho.tif"));
     validated::check(&order.out, accuracy.points);
+    assert_eq!(accuracy.texel_m, Some(0.05), "half of a pixel of the cameras");
+    textured::check(&order.out, middle, accuracy.triangles);
 }
 
 #[test]

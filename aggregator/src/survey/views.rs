@@ -49,7 +49,7 @@ impl Views {
 /// Finds the views of all pixels, of a surface with voxels of `voxel_m`. `on_view` gets the number of views that are done,
 /// and of all.
 pub(super) fn find_views(
-    depths: Depths,
+    mut depths: Depths,
     lattice: &Lattice,
     heights: &mut Tiles<f32>,
     views: &mut Tiles<Views>,
@@ -118,10 +118,9 @@ impl<'a> Picture<'a> {
     pub(super) fn add_point(&self, views: &mut Views, at: DVec3) {
         let Some((px, depth_m)) = self.map.camera.project_with_depth(at) else { return };
         let Some(shown_m) = self.depth_m(px) else { return };
-        let eye = self.map.camera.cam_from_world.center();
-        // Along the ray, by how much the point that the picture shows is higher.
-        let higher_m = (shown_m / depth_m - 1.0) * (at.z - eye.z);
-        if (shown_m - depth_m).abs() * eye.distance(at) / depth_m <= self.same_m {
+        if self.is_same(at, depth_m, shown_m) {
+            // Along the ray, by how much the point that the picture shows is higher.
+            let higher_m = (shown_m / depth_m - 1.0) * (at.z - self.eye().z);
             views.count += 1.0;
             views.squares_m2 += (higher_m * higher_m) as f32;
         } else if shown_m > depth_m {
@@ -129,9 +128,25 @@ impl<'a> Picture<'a> {
         }
     }
 
+    /// Where the picture shows a point of the world, px, and its depth, metres; `None` if it does not.
+    pub(super) fn shows(&self, at: DVec3) -> Option<(DVec2, f64)> {
+        let (px, depth_m) = self.map.camera.project_with_depth(at)?;
+        self.is_same(at, depth_m, self.depth_m(px)?).then_some((px, depth_m))
+    }
+
+    /// Where the picture was taken, in the world.
+    pub(super) fn eye(&self) -> DVec3 {
+        self.map.camera.cam_from_world.center()
+    }
+
+    /// Whether a point is on the surface that is shown, by their depths.
+    fn is_same(&self, at: DVec3, depth_m: f64, shown_m: f64) -> bool {
+        (shown_m - depth_m).abs() * self.eye().distance(at) / depth_m <= self.same_m
+    }
+
     /// The depth at the nearest pixel, metres.
     fn depth_m(&self, px: DVec2) -> Option<f64> {
-        let DepthMap { camera, depth_m } = self.map;
+        let DepthMap { camera, depth_m, .. } = self.map;
         if !camera.contains(px) {
             return None;
         }
@@ -149,7 +164,7 @@ mod tests {
     fn views_count_where_they_show_the_surface() {
         let camera = above(0.0);
         let [width, height] = camera.size_px.map(|side| side as usize);
-        let map = DepthMap { camera, depth_m: vec![9.9; width * height] };
+        let map = DepthMap { camera, depth_m: vec![9.9; width * height], rgb: Vec::new() };
         let picture = Picture { map: &map, same_m: 0.4 };
         // The camera is 10 m above the ground, so the picture shows a surface 0.1 m above it.
         let spread = |x: f64, height: f32| {
