@@ -173,13 +173,12 @@ fn run(args: &RunArgs) -> Result<()> {
         write_georeference(Some(&Georeference::at(origin)?), &config.out)?;
     }
     let (commands, receiver) = mpsc::channel();
-    let orders = commands.clone();
     ctrlc::set_handler(move || {
         let _ = commands.send(Command::Stop); // fails only if the service has already ended
     })
     .context("cannot install the Ctrl-C handler")?;
     let (begun, json) = (Instant::now(), args.json);
-    let site = args.http.serve(&config.out, Some(orders))?;
+    let site = args.http.serve(&config.out, true)?;
     let board = site.as_ref().map(|site| site.board.clone());
     board.iter().for_each(|board| board.expect(expected_devices(&config)));
     let heard = board.clone();

@@ -6,6 +6,14 @@ use std::net::{IpAddr, Ipv4Addr, Ipv6Addr, SocketAddr};
 
 use cosurf_aggregator::station::Token;
 
+/// Parses the address to bind: numbers and a port.
+pub(crate) fn parse_address(text: &str) -> Result<SocketAddr, String> {
+    text.parse().map_err(|_| {
+        "write an IP address in numbers and a port, for example 127.0.0.1:8080 in place of localhost:8080, or [::1]:8080"
+            .to_owned()
+    })
+}
+
 /// The addresses of a server that is bound to this one, a line each, first that for other computers. They carry the token if there
 /// is one.
 pub(crate) fn urls(bound: SocketAddr, token: Option<&Token>) -> String {
@@ -34,6 +42,17 @@ fn reachable(is_v6: bool, of_computer: impl Iterator<Item = IpAddr>) -> Vec<IpAd
 #[cfg(test)]
 mod tests {
     use super::*;
+
+    #[test]
+    fn an_address_by_name_is_refused_with_the_remedy() {
+        assert_eq!(parse_address("[::1]:80"), Ok(SocketAddr::from((Ipv6Addr::LOCALHOST, 80))));
+        for wrong in ["localhost:8080", "127.0.0.1", "8080", ""] {
+            assert!(
+                parse_address(wrong).is_err_and(|error| error.contains("in numbers and a port")),
+                "{wrong}"
+            );
+        }
+    }
 
     #[test]
     fn a_server_of_all_networks_has_addresses_that_open() {

@@ -110,7 +110,7 @@ pub(crate) fn run(args: MissionArgs) -> Result<()> {
     let geoid = args.geoid.as_ref().map(absolute).transpose().context("--geoid")?;
     let data = args.data.as_ref().map(absolute).transpose().context("--data")?;
     let merge_memory = merge_memory(args.merge_memory, args.http.is_served())?;
-    let site = args.http.serve(&out, None)?;
+    let site = args.http.serve(&out, false)?;
     let around =
         Surroundings { board: site.as_ref().map(|site| site.board.clone()), ..surroundings(args.json)? };
     let (data, ingest_s) = match data {

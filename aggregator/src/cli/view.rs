@@ -13,7 +13,7 @@ use cosurf_aggregator::viewer::{FIRST_SPLATS, Room, Walkable};
 use cosurf_contract::counted;
 use cosurf_scene::{model, ply};
 
-use super::address::urls;
+use super::address::{parse_address, urls};
 
 /// Show a model in a browser: walk through it, measure, and read coordinates.
 ///
@@ -24,7 +24,7 @@ pub(crate) struct ViewArgs {
     /// The model: a PLY or SPZ file, or the folder of a training, a merge or a mission
     model: PathBuf,
     /// Address and port to serve on; port 0 takes a free one
-    #[arg(long, value_name = "ADDRESS", default_value = "127.0.0.1:0")]
+    #[arg(long, value_name = "ADDRESS", default_value = "127.0.0.1:0", value_parser = parse_address)]
     http: SocketAddr,
     /// File whose first line is the token [default: a random one]
     #[arg(long, value_name = "FILE")]

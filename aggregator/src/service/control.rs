@@ -34,8 +34,6 @@ pub struct ServiceConfig {
 pub enum Command {
     /// Do not wait for this device any more. Models that it has sent still count.
     GiveUp(DeviceId),
-    /// Merge the models that have arrived, without waiting for others.
-    Merge,
     /// Finish a merge that is due, then end.
     Finish,
     /// End at once. A running merge starts over when the service starts again.

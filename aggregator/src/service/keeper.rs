@@ -25,7 +25,7 @@ use super::job::{Job, JobState, Made, Outcome, TileWork};
 use super::rebroadcast::Rebroadcast;
 use super::record::{Merging, Verdict, file_hash, remove_global};
 use super::reporting::Reporting;
-use super::restore;
+use super::restore::{self, WishedMerge};
 use super::revoked::revoked;
 use super::round::{Expected, Round};
 use super::sent::{Revision, Sent, TileBytes};
@@ -104,8 +104,8 @@ pub(super) struct Keeper {
     round: Option<Round>,
     /// When a failed merge or write may be tried again.
     retry_at: Duration,
-    /// True if the operator wished a merge, and the wishes behind it may still have to wait for it.
-    owes_merge: bool,
+    /// How far the merge is that the operator wishes first.
+    wished_merge: WishedMerge,
     /// The running merge, and the time at which it began.
     job: Option<(Job, Duration)>,
     /// Reports of revisions, if any are made.
@@ -173,7 +173,7 @@ impl Keeper {
             threads: config.threads,
             round: (!headers.is_empty()).then(|| Round::extend(None, Duration::ZERO)),
             retry_at: Duration::ZERO,
-            owes_merge: false,
+            wished_merge: WishedMerge::NotBegun,
             job: None,
             reporting: None,
             devices_max: DEVICES_MAX,
@@ -369,7 +369,6 @@ impl Keeper {
                     self.given_up.insert(device);
                     self.round = Some(Round::extend(self.round.take(), now));
                 }
-                Ok(Command::Merge) => self.wish_merge(now),
                 Ok(Command::Finish) => {
                     self.begin_when_due(node, now);
                     return RunState::Finishing;
@@ -588,7 +587,7 @@ impl Keeper {
         let (inputs, seconds) = (std::mem::take(&mut job.inputs), (now - *begun).as_secs_f64());
         let restores = job.restores.take();
         self.job = None;
-        self.end_owed_merge();
+        self.end_wished_merge();
         if let Some(record) = restores {
             return self.publish_restored(node, now, *outcome, *record);
         }

@@ -21,7 +21,7 @@ use super::model_list::{ModelList, any_listed};
 use super::record::{Merging, WITHDRAWN, remove};
 
 /// The file with the wishes, inside the folder of the service: a line for each, oldest first, with the number of a revision or
-/// [`RELEASE`].
+/// [`MERGE`].
 pub(super) const WISHES: &str = "restore";
 /// The file that is locked while the wishes are changed, inside the folder of the service.
 pub(super) const WISHES_LOCK: &str = "restore.lock";
@@ -33,8 +33,10 @@ pub(super) const HELD: &str = "held";
 /// The folder with the record of each revision that is kept, inside the folder of the service.
 const RECORDS: &str = "revisions";
 
-/// In the place of a number: the restored revision must not stay.
-const RELEASE: &str = "release";
+/// In the place of a number: a merge, which the restored revision must not outlast.
+const MERGE: &str = "release";
+/// In the place of [`MERGE`], once the merge was begun. The line stays until the merge is made, so it outlasts a kill.
+const BEGUN_MERGE: &str = "merging";
 
 /// The file [`HELD`].
 #[derive(Serialize, Deserialize)]
@@ -47,16 +49,29 @@ struct Held {
 pub(super) enum Wish {
     /// Make this revision the newest one.
     Restore(u64),
-    /// Let a merge replace the restored revision.
-    Release,
+    /// Merge at once, and let that replace a restored revision.
+    Merge,
+    /// The same, and it was begun, in this run of the program or in one that was killed.
+    BegunMerge,
     /// Its line in the file is damaged.
     Unreadable,
+}
+
+/// How far the merge is that the operator wishes first.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub(super) enum WishedMerge {
+    /// None is wished, or this run of the program has not begun it.
+    NotBegun,
+    /// It is still to come, or running.
+    Begun,
+    Made,
 }
 
 impl Wish {
     fn of(line: &str) -> Self {
         match line {
-            RELEASE => Self::Release,
+            MERGE => Self::Merge,
+            BEGUN_MERGE => Self::BegunMerge,
             number => number.parse().map_or(Self::Unreadable, Self::Restore),
         }
     }
@@ -160,7 +175,7 @@ pub(super) fn ask_again(folder: &Path, revision: u64) -> Result<(), SceneError> 
 /// Asks the service with this folder to let its next merge, which begins at once, replace a restored revision. What was asked for
 /// before is done before.
 pub fn ask_to_release(folder: &Path) -> Result<(), RestoreError> {
-    add_wish(folder, RELEASE)
+    add_wish(folder, MERGE)
 }
 
 /// Adds a wish to those that wait. One that is the last already is not added: it was asked for twice.
@@ -179,6 +194,17 @@ fn add_wish(folder: &Path, wish: &str) -> Result<(), RestoreError> {
 /// What the operator wishes first.
 pub(super) fn wish(folder: &Path) -> Result<Option<Wish>, SceneError> {
     Ok(wishes(folder)?.first().map(|line| Wish::of(line)))
+}
+
+/// Notes that the merge of the first wish was begun. So one that is asked for from now on is another one.
+pub(super) fn note_begun_merge(folder: &Path) -> Result<(), SceneError> {
+    change_wishes(folder, |wishes| {
+        wishes
+            .iter_mut()
+            .take(1)
+            .filter(|first| *first == MERGE)
+            .for_each(|first| *first = BEGUN_MERGE.into());
+    })
 }
 
 /// Removes the first wish, which is fulfilled or cannot be.

@@ -40,6 +40,8 @@ pub(super) struct Shelf {
     /// Withdrawn devices whose flights must still be deleted at the broker. Until then, agents may prune ground in
     /// favour of these devices.
     to_void: Vec<DeviceId>,
+    /// Withdrawn devices that nobody was told of yet.
+    untold: Vec<DeviceId>,
     /// Models whose files were set aside at the start, and that no newer one replaces.
     damaged: Vec<ModelKey>,
 }
@@ -63,10 +65,11 @@ impl Shelf {
             flights: Flights::new(session),
             to_forget: Vec::new(),
             to_void: Vec::new(),
+            untold: Vec::new(),
             damaged: Vec::new(),
         };
         headers.iter().for_each(|header| shelf.note(*header));
-        shelf.withdraw_devices()?;
+        shelf.remove_withdrawn()?;
         headers.retain(|header| shelf.has(header));
         for file in damaged {
             match file.key.filter(|key| shelf.lacks_model(*key, ModelList::has_part)) {
@@ -172,18 +175,23 @@ impl Shelf {
         wanted.iter().filter_map(|header| take_part(&mut self.parts, node, header)).collect()
     }
 
-    /// Removes the models of withdrawn devices. Returns the devices of which a model or a part was removed.
+    /// Removes the models of withdrawn devices. Returns the devices of which a model or a part was removed since the last call,
+    /// or at the start.
     pub(super) fn withdraw_devices(&mut self) -> Result<Vec<DeviceId>, ServiceError> {
-        let mut withdrawn = Vec::new();
+        self.remove_withdrawn()?;
+        Ok(std::mem::take(&mut self.untold))
+    }
+
+    fn remove_withdrawn(&mut self) -> Result<(), ServiceError> {
         for (device, mut listed) in ModelList::read_all(&self.folder.join(WITHDRAWN))? {
             if listed.asks {
                 self.list_models(device, &mut listed)?;
             }
             if self.withdraw(device, listed)? {
-                withdrawn.push(device);
+                self.untold.push(device);
             }
         }
-        Ok(withdrawn)
+        Ok(())
     }
 
     /// Finds newest models whose files are missing or, if `reads_all`, damaged. They no longer count. Returns what is wrong

@@ -11,13 +11,18 @@ use crate::service::event::ServiceEvent;
 use crate::service::folder::MADE_FILES;
 use crate::service::job::{Job, Outcome};
 use crate::service::record::Merging;
-use crate::service::restore::{self, Wish};
+use crate::service::restore::{self, Wish, WishedMerge};
 use crate::service::round::Round;
 
 impl Keeper {
-    /// Begins with what the operator wishes first. A restore stops a running merge, unless the operator has asked for that merge.
+    /// Begins with what the operator wishes first. A restore stops a running merge; one that the operator has asked for before is
+    /// still the first wish.
     pub(super) fn begin_to_restore(&mut self, now: Duration) -> Result<(), ServiceError> {
-        let revision = match restore::wish(&self.folder)? {
+        let wish = restore::wish(&self.folder)?;
+        if wish != Some(Wish::BegunMerge) {
+            self.wished_merge = WishedMerge::NotBegun;
+        }
+        let revision = match wish {
             None => return Ok(()),
             Some(Wish::Restore(revision)) => revision,
             Some(Wish::Unreadable) => {
@@ -26,15 +31,8 @@ impl Keeper {
                 self.told.push_back(ServiceEvent::SetAside { reason: reason.to_owned() });
                 return Ok(restore::end_wish(&self.folder)?);
             }
-            Some(Wish::Release) => {
-                self.merge_at_once(now);
-                self.owes_merge = true;
-                return Ok(restore::end_wish(&self.folder)?);
-            }
+            Some(Wish::Merge | Wish::BegunMerge) => return self.follow_wished_merge(now),
         };
-        if self.owes_merge() {
-            return Ok(());
-        }
         let is_running = |(job, _): &(Job, Duration)| {
             job.restores.as_ref().is_some_and(|record| record.revision == revision)
         };
@@ -54,16 +52,33 @@ impl Keeper {
         Ok(())
     }
 
-    /// Whether the merge that the operator has asked for in the wish before is still to come or running.
-    fn owes_merge(&mut self) -> bool {
-        self.owes_merge &=
-            self.round.as_ref().is_some_and(Round::is_at_once) || self.job.is_some() || self.to_offer;
-        self.owes_merge
+    /// Begins the merge that the operator wishes first, or goes on to the next wish once it is made.
+    fn follow_wished_merge(&mut self, now: Duration) -> Result<(), ServiceError> {
+        let is_to_come = self.is_round_at_once() || self.job.is_some() || self.to_offer;
+        match self.wished_merge {
+            WishedMerge::NotBegun => {
+                self.merge_at_once(now);
+                restore::note_begun_merge(&self.folder)?;
+                self.wished_merge = WishedMerge::Begun;
+                Ok(())
+            }
+            WishedMerge::Begun if is_to_come => Ok(()),
+            WishedMerge::Begun | WishedMerge::Made => {
+                restore::end_wish(&self.folder)?;
+                self.begin_to_restore(now)
+            }
+        }
     }
 
     /// Notes that a merge has ended. If it began before the operator asked for one, that is still to come.
-    pub(super) fn end_owed_merge(&mut self) {
-        self.owes_merge &= self.round.as_ref().is_some_and(Round::is_at_once);
+    pub(super) fn end_wished_merge(&mut self) {
+        if self.wished_merge == WishedMerge::Begun && !self.is_round_at_once() {
+            self.wished_merge = WishedMerge::Made;
+        }
+    }
+
+    fn is_round_at_once(&self) -> bool {
+        self.round.as_ref().is_some_and(Round::is_at_once)
     }
 
     pub(super) fn refuse_wish(
@@ -107,15 +122,6 @@ impl Keeper {
     fn merge_at_once(&mut self, now: Duration) {
         self.let_go();
         self.round = Some(Round::at_once(self.round.take(), now));
-    }
-
-    /// Lets the operator wish a merge, behind what was wished before.
-    pub(super) fn wish_merge(&mut self, now: Duration) {
-        self.withdrawals_at = now; // looks at the wishes at once
-        if let Err(error) = restore::ask_to_release(&self.folder) {
-            let reason = format!("no merge is begun: {error}");
-            self.told.push_back(ServiceEvent::DiskFailed { reason });
-        }
     }
 
     /// Lets the next merge replace a restored revision.

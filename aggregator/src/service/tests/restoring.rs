@@ -116,6 +116,30 @@ fn wishes_are_fulfilled_in_their_order() {
     ask_to_restore(path, 1).unwrap(); // the last one already
 }
 
+/// A merge that was asked for is made, and before what was asked for behind it, although the program is killed while it merges
+/// and too few devices are there for a quorum.
+#[test]
+fn a_merge_that_was_asked_for_outlasts_a_kill() {
+    let folder = tempfile::tempdir().unwrap();
+    let path = folder.path();
+    let network = MemoryNetwork::new(68, Faults::NONE);
+    let (mut ground, mut drones) = with_two_revisions(&network, path);
+    ask_to_restore(path, 1).unwrap();
+    simulate(&network, &mut ground, &mut drones, |events, _| count(events, is_restored) == 1);
+    ask_to_release(path).unwrap();
+    ask_to_restore(path, 1).unwrap();
+    let begun = |ground: &mut Ground, _: &[ServiceEvent]| ground.service.is_merging();
+    simulate_until(&network, &mut ground, &mut drones, begun);
+    network.leave(ground.transport);
+    drop(ground.service);
+    let never = Rounds { quorum: 9, quiet: Duration::MAX, deadline: Duration::MAX };
+    let mut ground = open(&network, path, Expected::Anybody(never));
+    let events = simulate(&network, &mut ground, &mut drones, |events, _| count(events, is_restored) == 1);
+    assert_eq!(count(&events, is_merged), 2, "the merge, and the restored one: {events:?}");
+    assert_eq!((revision(&ground), splats(path)), (5, 900), "a merge came between the copies of revision 1");
+    simulate(&network, &mut ground, &mut drones, |_, _| !path.join("restore").exists());
+}
+
 #[test]
 fn ground_of_a_forgotten_device_is_not_restored_and_does_not_stay() {
     let folder = tempfile::tempdir().unwrap();

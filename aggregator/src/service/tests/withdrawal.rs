@@ -76,8 +76,31 @@ fn a_device_may_be_forgotten_while_the_service_is_stopped() {
     forget(folder.path(), "agent-1");
     let network = MemoryNetwork::new(33, Faults::NONE);
     let mut ground = open(&network, folder.path(), Expected::Anybody(AT_ONCE));
-    lose_global(&network, &mut ground, &mut []);
+    let lost = |events: &[ServiceEvent], _: &[Drone]| count(events, is_global_withdrawn) == 1;
+    let events = simulate(&network, &mut ground, &mut [], lost);
+    let told = ServiceEvent::Withdrawn { device: DeviceId::new("agent-1").unwrap() };
+    assert!(events.contains(&told), "{events:?}");
     assert!(!has_global(folder.path()));
+}
+
+/// As while the service runs: its ground goes at once.
+#[test]
+fn ground_of_a_device_that_was_forgotten_while_the_service_was_stopped_does_not_wait_for_a_quorum() {
+    let folder = tempfile::tempdir().unwrap();
+    let network = MemoryNetwork::new(36, Faults::NONE);
+    let mut ground = open(&network, folder.path(), Expected::Anybody(AT_ONCE));
+    let mut drones = drones(&network, 2);
+    simulate(&network, &mut ground, &mut drones, |_, _| {
+        Merging::read(folder.path()).is_some_and(|record| record.inputs.len() == 2)
+    });
+    network.leave(ground.transport);
+    drop(ground.service);
+    forget(folder.path(), "agent-1");
+    let never = Rounds { quorum: 2, quiet: Duration::ZERO, deadline: Duration::MAX };
+    let mut ground = open(&network, folder.path(), Expected::Anybody(never));
+    simulate(&network, &mut ground, &mut drones, |events, _| count(events, is_merged) == 1);
+    let left = Merging::read(folder.path()).unwrap().inputs;
+    assert_eq!(left.iter().map(|input| input.device.as_str()).collect::<Vec<_>>(), ["agent-2"]);
 }
 
 #[test]
