@@ -303,8 +303,10 @@ impl Notes {
                 self.keep_out(kept_out);
                 let (revision, splats) = (header.model.0, header.splats as usize);
                 let models = *models;
-                self.revision =
-                    Some(Revision { revision, splats, models, restored_from: None, is_reported: false });
+                // Models that were merged before give the same revision, whose report stays.
+                let is_reported =
+                    self.revision.as_ref().is_some_and(|its| its.revision == revision && its.is_reported);
+                self.revision = Some(Revision { revision, splats, models, restored_from: None, is_reported });
             }
             ServiceEvent::NothingMerged { kept_out } => self.keep_out(kept_out),
             ServiceEvent::Reported { revision, .. } => {
@@ -404,6 +406,21 @@ mod tests {
         assert_eq!((reasons, state.merge), (vec![None, Some("contradicts a")], None));
         board.note_service(&ServiceEvent::NothingMerged { kept_out: Vec::new() });
         assert!(board.state().devices.iter().all(|its| its.kept_out.is_none()));
+    }
+
+    #[test]
+    fn a_revision_that_is_merged_again_keeps_its_report() {
+        let board = board();
+        let mut header = cosurf_tests::offers::mergeable_offer("ground", 50).header;
+        let mut is_reported_after = |revision: u64| {
+            header.model = cosurf_wire::ModelId(revision);
+            board.note_service(&ServiceEvent::Merged { header, models: 1, kept_out: Vec::new() });
+            board.state().revision.unwrap().is_reported
+        };
+        assert!(!is_reported_after(7));
+        board.note_service(&ServiceEvent::Reported { revision: 7, triangles: None, mesh_failure: None });
+        assert!(is_reported_after(7), "nothing has changed");
+        assert!(!is_reported_after(8));
     }
 
     #[test]
