@@ -76,8 +76,8 @@ impl Live {
             .route("/first.spz", get(async |State(live): State<Live>| first(live.newest().await)))
             .route("/model.spz", get(async |State(live): State<Live>| spz(live.newest().await)))
             .route("/tiles/{revision}/{index}", get(tile))
-            .route("/before/scene.json", get(async |State(live): State<Live>| scene(live.before().await)))
-            .route("/before/model.spz", get(async |State(live): State<Live>| spz(live.before().await)));
+            .route("/before/{shown}/scene.json", get(before_scene))
+            .route("/before/{shown}/model.spz", get(before_spz));
         let routes = match self.act {
             Some(_) => routes
                 .route("/api/forget", post(forget))
@@ -94,8 +94,9 @@ impl Live {
         self.models.newest(&self.board).await
     }
 
-    async fn before(&self) -> Option<Served> {
-        self.models.before(&self.board).await
+    /// The revision before the one that a page shows.
+    async fn before(&self, shown: u64) -> Option<Served> {
+        self.models.before(&self.board, shown).await
     }
 
     /// Does the action that a request's body describes. `usage` tells how to describe one.
@@ -146,6 +147,14 @@ impl Live {
 
 async fn page(State(live): State<Live>) -> Response {
     html(live_page(live.board.revision(), live.act.is_some()))
+}
+
+async fn before_scene(State(live): State<Live>, Path(shown): Path<u64>) -> Result<Response, StatusCode> {
+    scene(live.before(shown).await)
+}
+
+async fn before_spz(State(live): State<Live>, Path(shown): Path<u64>) -> Result<Response, StatusCode> {
+    spz(live.before(shown).await)
 }
 
 fn json(value: &impl Serialize) -> Response {

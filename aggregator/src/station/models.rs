@@ -1,5 +1,5 @@
-//! The models that the page of a running site shows: the newest revision, and the one before it. They are read when a
-//! browser asks, one at a time, and kept until there is a newer revision.
+//! The models that the page of a running site shows: the newest revision, and the one before that which a browser shows. They
+//! are read when a browser asks, one at a time, and kept until a browser asks for others.
 
 use std::path::Path;
 use std::sync::Arc;
@@ -82,10 +82,11 @@ impl Models {
         spawn_blocking(encode).await.ok()?.map(Bytes::from)
     }
 
-    /// The revision before the newest one; `None` if the service keeps none, or if it cannot be shown.
-    pub(super) async fn before(&self, board: &Board) -> Option<Served> {
+    /// The revision before the one that a page shows; `None` if there is no model now, if the service keeps none before, or if
+    /// it cannot be shown.
+    pub(super) async fn before(&self, board: &Board, shown: u64) -> Option<Served> {
         let store = global_store(board.folder());
-        let key = key_before(&store, board.revision()?)?;
+        let key = key_before(&store, board.revision()?.min(shown))?;
         let mut pair = self.0.lock().await;
         if pair.before.as_ref().is_none_or(|known| known.revision != key.model.0) {
             pair.before = None;
@@ -114,7 +115,7 @@ fn newest_of(folder: &Path, revision: u64) -> Result<(Walkable, Option<SentTiles
     if tiles.is_some() && shown > BASE_SPLATS_MAX {
         model = Walkable::read(folder, base)?; // it almost fits, and must leave room for tiles
     }
-    let model = model.with_devices(contributions(folder));
+    let model = model.with_devices(contributions(folder)).with_revision(revision);
     Ok(match tiles {
         Some(tiles) => (model.with_tiles(revision, tiles.boxes()), Some(tiles)),
         None => (model, None),

@@ -1,14 +1,16 @@
-// Shows the revision before beside the newest one: a slider moves the border between both. It knows nothing about input.
+// Shows the revision before beside the one of the page: a slider moves the border between both. It knows nothing about input.
 //
-// Start reading at Comparison. The revision before is at before/scene.json and before/model.spz.
+// Start reading at Comparison. The revision before N is at before/N/scene.json and before/N/model.spz: newer ones than the page
+// shows may have come since.
 
 /* global decodeSpz, Drawing, paint, add, dot */
 /* exported Comparison */
 
 class Comparison {
-  /** Loads the revision before. Throws an Error with one line of text if there is none. `main` is the newest one's scene. */
+  /** Loads the revision before. Throws an Error with one line of text if there is none. `main` is the page's scene. */
   static async load(section, main) {
-    const [described, file] = await Promise.all(['before/scene.json', 'before/model.spz'].map((name) => fetch(name)));
+    const names = ['scene.json', 'model.spz'].map((name) => `before/${main.revision}/${name}`);
+    const [described, file] = await Promise.all(names.map((name) => fetch(name)));
     if (!described.ok || !file.ok) throw new Error('The revision before is not kept, or is too large to show.');
     const model = await decodeSpz(new Uint8Array(await file.arrayBuffer()));
     return new Comparison(section, main, await described.json(), model);
@@ -32,9 +34,19 @@ class Comparison {
     this.move();
   }
 
+  /** How far the border is from the left, percent. */
+  get border() {
+    return Number(this.slide.querySelector('input').value);
+  }
+
+  set border(percent) {
+    this.slide.querySelector('input').value = percent;
+    this.move();
+  }
+
   /** Shows the revision before to the left of the border. */
   move() {
-    this.canvas.style.clipPath = `inset(0 ${100 - this.slide.querySelector('input').value}% 0 0)`;
+    this.canvas.style.clipPath = `inset(0 ${100 - this.border}% 0 0)`;
   }
 
   /** Colours the revision before for a layer; see `paint` of marks.js. */

@@ -25,6 +25,9 @@ const ERROR_BOUNDS_M: [f32; 6] = [0.01, 0.02, 0.05, 0.1, 0.2, 0.5];
 struct Scene {
     /// Name of the model.
     name: String,
+    /// Its number, if it is a revision of a running site.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    revision: Option<u64>,
     /// World position of the model's origin, world units.
     origin: [f64; 3],
     /// Length of the model's unit, world units.
@@ -210,6 +213,7 @@ impl Walkable {
         let (spz, splats) = encode(splats, room.file_bytes, &path)?;
         let scene = Scene {
             name,
+            revision: None,
             origin: frame.origin().to_array(),
             unit: frame.unit(),
             up: lie.up.to_array(),
@@ -242,6 +246,12 @@ impl Walkable {
             arrived_s,
         };
         self.scene.devices = devices.into_iter().map(device).collect();
+        self
+    }
+
+    /// Tells which revision of a running site it is.
+    pub(crate) fn with_revision(mut self, revision: u64) -> Self {
+        self.scene.revision = Some(revision);
         self
     }
 

@@ -105,7 +105,7 @@ class Viewer {
     this.changed();
   }
 
-  /** Tells what the colours of the layer mean, in the newest revision and in that before if it is shown. */
+  /** Tells what the colours of the layer mean, in the page's model and in the revision before if it is shown. */
   explain() {
     const { layer } = this;
     const entry = ([text, color]) => {
@@ -211,7 +211,7 @@ class Viewer {
       this.tell('The revision before is loading …');
       this.comparison = await Comparison.load(this.section, this.scene);
       await this.comparison.paint(this.layer);
-      this.tell(`Left of the border is ${this.comparison.scene.name}, right of it the newest one.`);
+      this.tell(`Left of the border is ${this.comparison.scene.name}, right of it revision ${this.scene.revision}.`);
     } catch (error) {
       this.tell(error.message);
     } finally {
@@ -219,6 +219,26 @@ class Viewer {
       this.press();
       this.changed();
     }
+  }
+
+  /** What a visitor has set, for another revision of the same site. */
+  settings() {
+    const { scene, walk, layer, comparison } = this;
+    const { yaw, pitch, isWalking } = walk;
+    const pivot = add(scene.origin, walk.pivot, scene.unit);
+    const place = { pivot, distance: scene.unit * walk.distance, yaw, pitch, isWalking };
+    return { layer, place, isCompared: Boolean(comparison?.isShown), border: comparison?.border };
+  }
+
+  /** Takes what a visitor has set in another revision, as far as this one has it. */
+  async takeSettings({ layer, place, isCompared, border }) {
+    const { scene, walk } = this;
+    const pivot = add([0, 0, 0], add(place.pivot, scene.origin, -1), 1 / scene.unit);
+    Object.assign(walk, place, { pivot, distance: place.distance / scene.unit });
+    await this.takeLayer(layer);
+    if (isCompared) await this.compare();
+    if (this.comparison) this.comparison.border = border;
+    this.changed();
   }
 
   toldOfPhotograph() {

@@ -18,7 +18,11 @@ const siteMap = new SiteMap(at('map'), at('place'));
 const devices = new Map();
 const shownRevision = Number(document.body.dataset.revision) || null;
 let heardAt = Date.now();
+/** What was set in the revision that the page showed before. */
+const settings = history.state?.settings;
 let mapOf = '';
+/** The viewer, once it has the whole model. */
+let viewer;
 /** The newest revision when the older ones were listed. */
 let revisionsOf = null;
 let events;
@@ -58,7 +62,7 @@ function show(state) {
     devices.set(device.device, { ...device, heardAt: ago === null ? null : Date.now() - 1000 * ago });
   }
   const parts = [state.is_connected ? 'connected to the broker' : 'not connected to the broker'];
-  parts.push(revision ? `revision ${revision.revision}: ${counted(revision.splats, 'splat')} of ${counted(revision.models, 'model')}` : 'no global model yet');
+  parts.push(revision ? `revision ${revision.revision}: ${counted(revision.splats, 'splat')} of ${counted(revision.models, 'model')}` : 'no global model');
   if (revision?.restored_from) parts.push(`it repeats revision ${revision.restored_from} until you merge`);
   if (merge) parts.push(`merging, step ${merge.step} of ${merge.steps}`);
   at('summary').textContent = parts.join(' · ');
@@ -80,12 +84,25 @@ function write(lines) {
   if (isAtEnd) list.scrollTop = list.scrollHeight;
 }
 
-/** Offers a newer revision than the page shows; the first one is shown at once. */
+/** Offers a newer revision than the page shows. The first one is shown at once, and one that was withdrawn no longer. */
 function offer(revision) {
-  if (!revision || revision.revision === shownRevision) return;
-  if (!shownRevision) return location.reload();
-  at('newer').hidden = false;
-  at('newer').textContent = `Show revision ${revision.revision}`;
+  const newest = revision?.revision ?? null;
+  at('newer').hidden = !newest || newest === shownRevision;
+  at('newer').textContent = `Show revision ${newest}`;
+  if (newest !== shownRevision && !(newest && shownRevision)) location.reload();
+}
+
+/** Shows the newest revision, with what is set in this one. */
+function showNewest() {
+  if (viewer) history.replaceState({ settings: viewer.settings() }, '');
+  location.reload();
+}
+
+/** Takes the viewer once it has the whole model, and sets in it what was set in the revision before. */
+async function takeViewer() {
+  history.replaceState(null, '');
+  viewer = await globalThis.cosurf;
+  if (settings) await viewer?.takeSettings(settings);
 }
 
 /** Lists choices, without losing the chosen one. `texts` tell what they are, if that is more than their names. */
@@ -131,8 +148,8 @@ async function drawMap() {
   const answer = await fetch('/api/map').catch(() => null);
   if (!answer?.ok) return (mapOf = '');
   siteMap.show(await answer.json(), devices);
-  const viewer = await globalThis.cosurf;
-  if (viewer) siteMap.look(viewer);
+  const looking = await globalThis.cosurf;
+  if (looking) siteMap.look(looking);
 }
 
 async function ask(path, body) {
@@ -142,7 +159,7 @@ async function ask(path, body) {
 }
 
 at('actions').hidden = !document.body.dataset.acts;
-at('newer').addEventListener('click', () => location.reload());
+at('newer').addEventListener('click', showNewest);
 at('merge').addEventListener('click', () => ask('/api/merge'));
 at('forget').addEventListener('click', () => {
   const device = at('forget-device').value;
@@ -166,4 +183,5 @@ setInterval(() => {
     listen();
   }
 }, 1000);
+takeViewer();
 listen();
