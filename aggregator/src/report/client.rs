@@ -37,9 +37,12 @@ const FILES: [(&str, &str); 18] = [
     ("mesh.ply", "the surface as triangles, for CAD and mesh programs"),
     ("global.ply", "the model as splats, for splat viewers"),
     ("geo.json", "the place on the earth, and residuals of GPS and control points"),
-    ("report.json", "all figures, for programs"),
+    (FIGURES, "all figures, for programs"),
     ("cameras.json", "the places of the photographs"),
 ];
+
+/// The file with the figures of a report. It is written after the page, so that it tells that the page is whole.
+const FIGURES: &str = "report.json";
 
 /// What a client's part is made of.
 pub(crate) struct Client {
@@ -186,7 +189,7 @@ fn row(name: &str, count: usize, horizontal_m: f64, vertical_m: f64) -> String {
 /// Links to the files that lie beside the report.
 fn files(client: &Client) -> String {
     // A survey whose accuracy.json is missing is incomplete, or of an earlier model.
-    let is_there = |name: &str| client.folder.join(name).is_file();
+    let is_there = |name: &str| name == FIGURES || client.folder.join(name).is_file();
     let is_whole = |name: &str| !name.starts_with("survey/") || is_there("survey/accuracy.json");
     let mut html = String::from("<h2>Files</h2>\n<ul class=\"files\">");
     for (name, what) in FILES.into_iter().filter(|(name, _)| is_there(name) && is_whole(name)) {
@@ -243,6 +246,7 @@ pub(crate) mod tests {
             "33.50000° S, 16.40000° E · 20",
             "1.250 m",
             "href=\"global.ply\"",
+            "href=\"report.json\"",
             "class=\"viewer\"",
         ] {
             assert!(html.contains(part), "{part}: {html}");
