@@ -6,7 +6,8 @@ use std::io::{self, Read, Seek, SeekFrom, Write};
 use std::path::{Path, PathBuf};
 use std::sync::{Mutex, PoisonError};
 
-use cosurf_scene::{SceneError, Splats};
+use cosurf_scene::files::is_full_disk;
+use cosurf_scene::{SceneError, Splats, check_space};
 use serde::Serialize;
 use serde::de::DeserializeOwned;
 
@@ -50,7 +51,7 @@ impl Records {
         let record = Record { at: self.bytes, bytes: encoded.len() };
         let file = self.file.get_mut().unwrap_or_else(PoisonError::into_inner);
         let written = file.seek(SeekFrom::Start(record.at)).and_then(|_| file.write_all(&encoded));
-        written.map_err(|cause| self.failed(cause))?;
+        written.map_err(|cause| not_written(&self.folder, cause, self.bytes, encoded.len()))?;
         self.bytes += encoded.len() as u64;
         Ok(record)
     }
@@ -105,7 +106,8 @@ impl Floats {
             file.seek(SeekFrom::Start(4 * self.len))?;
             file.write_all(bytemuck::cast_slice(values))
         };
-        write(file).map_err(|cause| SceneError::io(&self.folder, cause))?;
+        let bytes = size_of_val(values);
+        write(file).map_err(|cause| not_written(&self.folder, cause, 4 * self.len, bytes))?;
         let at = self.len;
         self.len += values.len() as u64;
         Ok(at)
@@ -151,6 +153,23 @@ impl Floats {
     }
 }
 
+/// The error of a write of so many bytes to a file that has `held_bytes`. Those count as free and as needed: once the merge has
+/// failed they are free, and the next one needs them again.
+fn not_written(folder: &Path, cause: io::Error, held_bytes: u64, bytes: usize) -> SceneError {
+    let error = SceneError::io(folder, cause);
+    if !is_full_disk(&error) {
+        return error;
+    }
+    match check_space(folder, bytes as u64) {
+        Err(SceneError::DiskFull { folder, free_bytes, needed_bytes }) => SceneError::DiskFull {
+            folder,
+            free_bytes: free_bytes.saturating_add(held_bytes),
+            needed_bytes: needed_bytes.saturating_add(held_bytes),
+        },
+        _ => error,
+    }
+}
+
 /// All numbers of splats.
 pub(super) fn numbers(splats: &Splats) -> [&[f32]; 5] {
     let Splats { means, quats, log_scales, opacity_logits, sh, .. } = splats;
@@ -188,6 +207,20 @@ mod tests {
         assert_eq!(records.get::<(String, Vec<f64>)>(one).unwrap(), ("one".to_owned(), vec![1.5, -2.0]));
         let error = records.get::<String>(Record { at: 1000, bytes: 3 }).unwrap_err().to_string();
         assert!(error.contains(folder.path().to_str().unwrap()), "{error}");
+    }
+
+    #[test]
+    #[cfg(unix)]
+    fn a_full_disk_is_told_with_what_the_file_has_and_needs() {
+        let folder = tempfile::tempdir().unwrap();
+        let told = |cause: io::ErrorKind, bytes| {
+            not_written(folder.path(), cause.into(), 5000 << 40, bytes).to_string()
+        };
+        let text = told(io::ErrorKind::StorageFull, 1 << 60);
+        assert!(text.contains("TiB free, at least ") && text.contains("TiB are needed"), "{text}");
+        let text = told(io::ErrorKind::StorageFull, 0);
+        assert!(text.contains("the disk is full"), "the space was freed since: {text}");
+        assert!(told(io::ErrorKind::PermissionDenied, 1 << 60).contains("permission denied"));
     }
 
     #[test]

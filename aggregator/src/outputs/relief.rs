@@ -4,7 +4,8 @@
 use std::ops::ControlFlow;
 use std::path::Path;
 
-use cosurf_scene::{Camera, Caster, LocalFrame, SceneError};
+use cosurf_scene::files::is_full_disk;
+use cosurf_scene::{Camera, Caster, LocalFrame, Mesh, SceneError, check_space};
 
 use crate::mesh::{FuseEvent, FuseSettings, Fused, MeshError, mesh_file};
 use crate::report::MeshSummary;
@@ -41,6 +42,42 @@ pub(crate) fn relief(
     };
     let caster = Caster::new(&fused.mesh);
     let Fused { mesh, voxel_m, .. } = fused.out_of_frame(frame);
-    mesh.write(file)?;
+    write(&mesh, file)?;
     Ok(Relief::Made { summary: MeshSummary { triangles: mesh.triangles.len(), voxel_m }, caster })
+}
+
+/// Writes a mesh. If the disk is too full for it, the error tells how much is free and needed.
+fn write(mesh: &Mesh, file: &Path) -> Result<(), SceneError> {
+    mesh.write(file).map_err(|error| match file.parent().filter(|_| is_full_disk(&error)) {
+        Some(folder) => check_space(folder, least_bytes(mesh)).err().unwrap_or(error),
+        None => error,
+    })
+}
+
+/// Least size of a mesh in a PLY file, without its header.
+fn least_bytes(Mesh { positions, normals, rgb, triangles, .. }: &Mesh) -> u64 {
+    let corners = triangles.len() * (1 + size_of::<[u32; 3]>());
+    let vertices = size_of_val(&positions[..]) + size_of_val(&normals[..]) + size_of_val(&rgb[..]);
+    (corners + vertices) as u64
+}
+
+#[cfg(test)]
+mod tests {
+    #![allow(clippy::unwrap_used)]
+    use super::*;
+
+    #[test]
+    fn the_least_size_of_a_mesh_is_near_that_of_its_file() {
+        let folder = tempfile::tempdir().unwrap();
+        let file = folder.path().join("mesh.ply");
+        let mesh = Mesh {
+            positions: vec![[1.0; 3]; 300],
+            rgb: vec![[9; 3]; 300],
+            triangles: vec![[0, 1, 2]; 500],
+            ..Mesh::default()
+        };
+        write(&mesh, &file).unwrap();
+        let bytes = file.metadata().unwrap().len();
+        assert!((bytes - 400..bytes).contains(&least_bytes(&mesh)), "{bytes}: {}", least_bytes(&mesh));
+    }
 }
