@@ -30,7 +30,7 @@ pub enum MeshError {
     #[error("the mesh was not made: the program was asked to end")]
     Stopped,
     /// The memory is too small to render the model.
-    #[error("rendering {splats} splats needs {} of memory, but the limit is {}; allow more memory (--memory)", cosurf_scene::bytes::format_bytes(*needed_bytes), cosurf_scene::bytes::format_bytes(*memory_bytes))]
+    #[error("rendering {splats} splats needs {} MiB of memory, but the limit is {}; allow more memory (--memory)", needed_bytes.div_ceil(1 << 20), cosurf_scene::bytes::format_bytes(*memory_bytes))]
     TooLittleMemory {
         /// Number of splats of the model.
         splats: usize,

@@ -21,7 +21,7 @@ pub enum SurveyError {
     #[error(transparent)]
     Mesh(#[from] MeshError),
     /// The memory is too small to write maps.
-    #[error("a survey of this model needs {} of memory, but the limit is {}; allow more memory (--memory)", format_bytes(*needed_bytes), format_bytes(*memory_bytes))]
+    #[error("a survey of this model needs {} MiB of memory, but the limit is {}; allow more memory (--memory)", needed_bytes.div_ceil(1 << 20), format_bytes(*memory_bytes))]
     TooLittleMemory {
         /// A memory limit that suffices, bytes.
         needed_bytes: u64,
@@ -29,7 +29,7 @@ pub enum SurveyError {
         memory_bytes: u64,
     },
     /// The memory is too small to write a map of this size.
-    #[error("a map of {} × {} px needs {} of memory, but the limit is {}; allow more memory (--memory), or larger pixels (--gsd)", size_px[0], size_px[1], format_bytes(*needed_bytes), format_bytes(*memory_bytes))]
+    #[error("a map of {} × {} px needs {} MiB of memory, but the limit is {}; allow more memory (--memory), or larger pixels (--gsd)", size_px[0], size_px[1], needed_bytes.div_ceil(1 << 20), format_bytes(*memory_bytes))]
     LittleForMap {
         /// Width and height, px.
         size_px: [u32; 2],

@@ -31,6 +31,8 @@ pub(crate) struct Transfer {
     pub(crate) want_topic: Topic,
     /// Time when the last new chunk arrived, or the header if no chunk has arrived.
     pub(crate) last_news: Duration,
+    /// Time when the last chunk arrived, new or not.
+    last_heard: Duration,
     /// Time of the last `Want` that was marked `idle`. The sender needs time to react to it, so the next such
     /// `Want` must wait.
     last_idle: Duration,
@@ -88,6 +90,7 @@ impl Transfer {
             phase: TransferPhase::Fetching { want_at: now },
             want_topic,
             last_news: now,
+            last_heard: now,
             last_idle: now,
             last_want: now,
             body: Arc::new(vec![0; claim as usize]),
@@ -238,6 +241,7 @@ impl Transfer {
             return ChunkOutcome::Known;
         };
         if self.received.contains(chunk.index) {
+            self.on_duplicate(now);
             return ChunkOutcome::Known;
         }
         // Always succeeds: the body is shared only once it is complete.
@@ -284,7 +288,7 @@ impl Transfer {
     /// Makes the `Want` that is due now.
     pub(crate) fn want(&mut self, now: Duration) -> Want {
         let missing = Missing::of(self.header.chunks(), |index| self.received.contains(index));
-        let idle = now.saturating_sub(self.last_news.max(self.last_idle)) >= self.idle_after();
+        let idle = now.saturating_sub(self.last_heard.max(self.last_idle)) >= self.idle_after();
         if idle {
             self.last_idle = now;
         }
@@ -299,12 +303,28 @@ impl Transfer {
         self.phase = TransferPhase::ToStore { at: now + self.store_backoff.delay(), is_retry: true };
     }
 
+    /// A chunk that arrives again is a sign that others are on their way behind it. Otherwise, what is sent twice after a line
+    /// has stalled would make the receiver ask for what follows it, and so on to the end: on a line of 30 kB/s, one stall of two
+    /// seconds had 2.7 times as many bytes sent. Strangers who repeat a chunk delay a request by [`IDLE_MAX`] at most.
+    fn on_duplicate(&mut self, now: Duration) {
+        if now.saturating_sub(self.last_news) >= IDLE_MAX {
+            return;
+        }
+        self.last_heard = now;
+        let later = now + self.idle_after();
+        if let TransferPhase::Fetching { want_at } = &mut self.phase
+            && *want_at > now
+        {
+            *want_at = later.max(*want_at);
+        }
+    }
+
     /// Updates the average gap after a new chunk, and schedules the next `Want`.
     fn schedule_want(&mut self, now: Duration) {
         // Capping the gap limits the effect of an outage on the average.
         let gap = now.saturating_sub(self.last_news).min(self.gap * IDLE_GAPS);
         self.gap = (self.gap * 7 + gap) / 8;
-        self.last_news = now;
+        (self.last_news, self.last_heard) = (now, now);
         self.new_since_want += 1;
         let idle_after = self.idle_after();
         self.want_backoff = Backoff::new(idle_after, IDLE_MAX);

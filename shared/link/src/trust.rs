@@ -39,7 +39,6 @@ pub struct CredentialsError {
     /// The setting: `key`, `trusted` or `fleet`.
     pub setting: &'static str,
     /// What is wrong with its file.
-    #[source]
     pub cause: SceneError,
 }
 

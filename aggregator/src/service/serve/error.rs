@@ -57,7 +57,7 @@ pub enum ServeError {
     Credentials(#[from] CredentialsError),
     /// The device for merges cannot be opened.
     #[error("compute: {0}: {1}")]
-    Compute(DeviceChoice, #[source] DeviceError),
+    Compute(DeviceChoice, DeviceError),
     /// The folder of certificates for devices on radios is not there.
     #[error("line_certs: {}: there is no such folder; make it with `cosurf-aggregator pki`, or remove the line", .0.display())]
     LineCerts(PathBuf),

@@ -49,8 +49,8 @@ pub(super) enum Fault {
     Closed(DisconnectReasonCode),
     /// Connection after connection is lost at once.
     #[error(
-        "connection lost {times} times in a row just after it was made: if another program uses the same name, give \
-         each its own"
+        "connection lost {times} times in a row just after it was made: the line breaks, or another program uses the \
+         same name; give each its own"
     )]
     LostAtOnce {
         /// How often.

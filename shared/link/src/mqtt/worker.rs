@@ -33,6 +33,8 @@ const SLOWEST_LINE: f64 = 1000.0;
 /// be twice as long as the own one.
 const LASTING: Duration = Duration::from_millis(150);
 const LASTING_PAUSES: u32 = 4;
+/// Those pauses. They stay short, because a line that breaks that often may carry a little each time.
+const PAUSES: Backoff = Backoff::new(Duration::from_millis(50), Duration::from_secs(1));
 /// After so many connections in a row that did not last, the client tells what is likely.
 const BROKEN_AT_ONCE: u32 = 3;
 /// After so many connections that broke within the first message, the client asks the broker to drop what it has kept: a
@@ -107,7 +109,7 @@ impl Worker {
             attempt: 0,
             reconnect: RECONNECT,
             broken_at_once: 0,
-            pauses: RECONNECT,
+            pauses: PAUSES,
             pause: Duration::ZERO,
             is_dropping: false,
             fruitless: 0,
