@@ -434,8 +434,8 @@ fn two_hundred_devices_and_fifty_readers() {
 
 /// Pairs of merges that are compared, one without and one with the page.
 const PAIRS: usize = 5;
-/// Models of 102,400 splats that are merged side by side: some 10 to 20 s on two cores.
-const MERGED: usize = 6;
+/// Models of 102,400 splats that are merged side by side: some 10 s on two cores.
+const MERGED: usize = 8;
 /// Their distance: the ground of each is 96 m wide, metres.
 const MERGED_PITCH_M: f32 = 93.0;
 /// What the page may add to the duration of a merge, a share of it.
