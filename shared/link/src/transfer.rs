@@ -305,9 +305,9 @@ impl Transfer {
 
     /// A chunk that arrives again is a sign that others are on their way behind it. Otherwise, what is sent twice after a line
     /// has stalled would make the receiver ask for what follows it, and so on to the end: on a line of 30 kB/s, one stall of two
-    /// seconds had 2.7 times as many bytes sent. Strangers who repeat a chunk delay a request by [`IDLE_MAX`] at most.
+    /// seconds had 2.7 times as many bytes sent. Strangers who repeat a chunk delay a request by [`IDLE_GAPS`] times that wait.
     fn on_duplicate(&mut self, now: Duration) {
-        if now.saturating_sub(self.last_news) >= IDLE_MAX {
+        if now.saturating_sub(self.last_news) >= (self.idle_after() * IDLE_GAPS).min(IDLE_MAX) {
             return;
         }
         self.last_heard = now;
