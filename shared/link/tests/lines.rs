@@ -135,8 +135,9 @@ fn send_over_a_line_that_stalls(stall: Duration) -> (f64, Duration) {
             let begin = free.max(now);
             free =
                 begin + Duration::from_secs_f64((message.topic.len() + message.payload.len()) as f64 / 30e3);
-            let is_held = begin < 2 * S + stall && free > 2 * S;
-            free += if is_held && begin <= 2 * S { stall } else { Duration::ZERO };
+            if begin <= 2 * S && free > 2 * S {
+                free += stall;
+            }
             line.push_back((free, message));
         }
         while line.front().is_some_and(|(at, _)| *at <= now) {
