@@ -3,14 +3,13 @@
 use std::time::Duration;
 
 use cosurf_wire::{Message, Sealed, Topic};
-use rumqttc::v5::mqttbytes::v5::{Packet, PingReq, Subscribe};
+use rumqttc::v5::mqttbytes::v5::{Packet, PingReq};
 use tokio::time::timeout;
 
 use super::MqttConfig;
 use super::connection::Connection;
 use super::fault::Fault;
 use super::probe::{block_on, leave};
-use super::session::SUBSCRIBE_ID;
 use super::settings::ClientSettings;
 use super::worker::is_granted;
 
@@ -27,9 +26,7 @@ pub fn is_present(config: MqttConfig) -> Result<bool, String> {
 
 async fn look(settings: &ClientSettings) -> Result<bool, Fault> {
     let (mut connection, _) = Connection::open(settings, false).await?;
-    let mut subscribe = Subscribe::new_many(settings.filters.iter().cloned(), None);
-    subscribe.pkid = SUBSCRIBE_ID;
-    connection.queue(&Packet::Subscribe(subscribe));
+    connection.queue(&settings.subscription());
     let found = timeout(ANSWER_TIMEOUT, await_notice(&mut connection)).await.unwrap_or(Err(Fault::NoAnswer));
     leave(&mut connection, None).await;
     found

@@ -2,13 +2,12 @@
 
 use std::time::Duration;
 
-use rumqttc::v5::mqttbytes::v5::{Disconnect, DisconnectProperties, DisconnectReasonCode, Packet, Subscribe};
+use rumqttc::v5::mqttbytes::v5::{Disconnect, DisconnectProperties, DisconnectReasonCode, Packet};
 use tokio::time::timeout;
 
 use super::MqttConfig;
 use super::connection::Connection;
 use super::fault::Fault;
-use super::session::SUBSCRIBE_ID;
 use super::settings::ClientSettings;
 use super::worker::is_granted;
 
@@ -48,9 +47,7 @@ async fn try_in(settings: &ClientSettings) -> Result<(), Fault> {
         leave(&mut connection, None).await;
         return Ok(());
     }
-    let mut subscribe = Subscribe::new_many(settings.filters.iter().cloned(), None);
-    subscribe.pkid = SUBSCRIBE_ID;
-    connection.queue(&Packet::Subscribe(subscribe));
+    connection.queue(&settings.subscription());
     let granted = timeout(ANSWER_TIMEOUT, await_grant(&mut connection)).await.unwrap_or(Err(Fault::NoAnswer));
     // Ends the session that began with this connection.
     leave(&mut connection, Some(0)).await;

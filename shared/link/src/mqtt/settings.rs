@@ -4,9 +4,10 @@ use std::fmt;
 
 use cosurf_wire::{MAX_MESSAGE_BYTES, MAX_TOPIC_BYTES};
 use rumqttc::v5::mqttbytes::QoS;
-use rumqttc::v5::mqttbytes::v5::{self, Connect, ConnectProperties, Filter, LastWill, Packet};
+use rumqttc::v5::mqttbytes::v5::{self, Connect, ConnectProperties, Filter, LastWill, Packet, Subscribe};
 
 use super::address::BrokerAddress;
+use super::session::SUBSCRIBE_ID;
 use super::tls::Tls;
 use crate::transport::Outgoing;
 
@@ -40,6 +41,13 @@ pub(super) struct ClientSettings {
 pub(super) const KEEP_ALIVE_S: u16 = 30;
 
 impl ClientSettings {
+    /// The SUBSCRIBE packet for all filters.
+    pub(super) fn subscription(&self) -> Packet {
+        let mut subscribe = Subscribe::new_many(self.filters.iter().cloned(), None);
+        subscribe.pkid = SUBSCRIBE_ID;
+        Packet::Subscribe(subscribe)
+    }
+
     /// The CONNECT packet. If `is_anew`, the broker drops the session that it has kept.
     pub(super) fn hello(&self, is_anew: bool) -> Packet {
         let properties = ConnectProperties {

@@ -8,15 +8,13 @@ use std::sync::mpsc::{SyncSender, TrySendError};
 use std::time::{Duration, Instant};
 
 use rumqttc::v5::mqttbytes::QoS;
-use rumqttc::v5::mqttbytes::v5::{
-    ConnAck, Packet, PingReq, PubAck, Publish, SubAck, Subscribe, SubscribeReasonCode,
-};
+use rumqttc::v5::mqttbytes::v5::{ConnAck, Packet, PingReq, PubAck, Publish, SubAck, SubscribeReasonCode};
 use tokio::select;
 use tokio::time::sleep;
 
 use super::connection::Connection;
 use super::fault::{Fault, denial, kind_of};
-use super::session::{InFlight, SUBSCRIBE_ID};
+use super::session::InFlight;
 use super::settings::{ClientSettings, KEEP_ALIVE_S};
 use super::shared::{ClientEvent, Shared};
 use crate::pacing::Backoff;
@@ -224,9 +222,7 @@ impl Worker {
             .store(limit.map_or(usize::MAX, |bytes| bytes as usize), Ordering::Relaxed);
         let filters = &self.settings.filters;
         if !filters.is_empty() {
-            let mut subscribe = Subscribe::new_many(filters.iter().cloned(), None);
-            subscribe.pkid = SUBSCRIBE_ID;
-            connection.queue(&Packet::Subscribe(subscribe));
+            connection.queue(&self.settings.subscription());
         }
         let keep_alive_s = said.and_then(|said| said.server_keep_alive).unwrap_or(KEEP_ALIVE_S);
         Line {
