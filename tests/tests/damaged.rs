@@ -1,5 +1,6 @@
 //! An agent whose files were damaged while it did not run goes on by itself: it ends well, and its model and the global
-//! model have the bytes that they had. Each file gets one of six damages; `DAMAGE_SEED` (0 to 5) decides which.
+//! model have the bytes that they had. Each file gets one of seven damages; `DAMAGE_SEED` (0 to 6)
+//! decides which.
 #![cfg(unix)]
 #![allow(clippy::unwrap_used)]
 
@@ -13,7 +14,7 @@ use cosurf_tests::running::Running;
 /// What happens to a file.
 type Damage = (&'static str, fn(&Path));
 
-const DAMAGES: [Damage; 6] = [
+const DAMAGES: [Damage; 7] = [
     ("a bit flipped", |path| {
         let mut bytes = fs::read(path).unwrap();
         let middle = bytes.len() / 2;
@@ -30,6 +31,10 @@ const DAMAGES: [Damage; 6] = [
     ("a folder in its place", |path| {
         fs::remove_file(path).unwrap();
         fs::create_dir(path).unwrap();
+    }),
+    ("a link that leads nowhere", |path| {
+        fs::remove_file(path).unwrap();
+        std::os::unix::fs::symlink("missing", path).unwrap();
     }),
 ];
 

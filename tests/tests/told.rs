@@ -428,6 +428,33 @@ fn preflight_tells_whether_a_flight_can_begin() {
     drop(other);
 }
 
+/// A broker that takes client ids from certificates or users ends the connection of the running agent when another program
+/// connects with its certificate.
+#[test]
+fn preflight_tells_that_a_name_is_taken_where_the_broker_makes_the_client_ids() {
+    let (folder, other) = (tempfile::tempdir().unwrap(), tempfile::tempdir().unwrap());
+    let settings = format!("use_username_as_clientid true\n{PLAIN}");
+    let Some(broker) = Mosquitto::start(folder.path(), &settings, false) else { return };
+    let connection =
+        format!("broker = \"mqtt://127.0.0.1:{}\"\npassword_file = \"password\"", broker.address.port);
+    for folder in [folder.path(), other.path()] {
+        fs::write(folder.join("password"), "not asked for").unwrap();
+    }
+    let running = Agent::start(folder.path(), &connection, 100_000);
+    running.tells(TRAINING);
+    prepare(other.path(), &connection, 100);
+    let preflight = || {
+        let mut command = Command::new(program("cosurf-agent"));
+        let output = command.args(["preflight", "--config", "agent.toml"]).current_dir(other.path()).output();
+        String::from_utf8_lossy(&output.unwrap().stderr).into_owned()
+    };
+    let told = preflight();
+    assert!(told.contains("another program is connected to the broker as drone"), "{told}");
+    drop(running);
+    let told = preflight();
+    assert!(told.contains("no aggregator of the site site answers drone"), "{told}");
+}
+
 /// Two programs of one name end each other's connections. Mosquitto does not tell them why.
 #[test]
 fn two_agents_of_one_name_are_told_so_in_few_lines() {

@@ -248,7 +248,7 @@ impl fmt::Display for ServiceEvent {
                  higher number"
             ),
             Self::SameName { device } => {
-                write!(f, "two drones use the device name {device}; give each its own")
+                write!(f, "two programs use the device name {device}; give each its own")
             }
             Self::OlderSession { device, heard } => write!(
                 f,

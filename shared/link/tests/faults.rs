@@ -420,6 +420,21 @@ fn two_drones_under_one_name_are_told_apart_from_a_restart() {
     assert_eq!(births(&[7, 12, 7, 12, 7, 12]), 1, "reported once");
 }
 
+/// A built-in broker lets its own aggregator stay connected when another one connects under the same name.
+#[test]
+fn a_later_session_under_the_own_name_is_told_once() {
+    let mut victim = Victim::new(InboxLimits::default());
+    let Identity { device, session: own, .. } = identity(Role::Aggregator, "ground");
+    let mut birth = |session, alive| {
+        let state = Message::State(State { device, session, alive });
+        let events = victim.hear(Topic::State { device }, &state);
+        events.iter().filter(|event| matches!(event, NodeEvent::SameName(_))).count()
+    };
+    assert_eq!(birth(own - 1, true) + birth(own, true) + birth(own + 5, false), 0, "its own, and an end");
+    assert_eq!(birth(own + 5, true) + birth(own + 5, true), 1);
+    assert_eq!(birth(own + 9, true), 1);
+}
+
 /// Computes a CRC-32 bit by bit, independently of the crate under test.
 fn crc32(bytes: &[u8]) -> u32 {
     let step = |crc: u32, _| if crc & 1 == 1 { crc >> 1 ^ 0xEDB8_8320 } else { crc >> 1 };

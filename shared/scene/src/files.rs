@@ -16,11 +16,14 @@ pub fn folder_of(path: &Path) -> &Path {
     if path.is_file() { path.parent().unwrap_or(path) } else { path }
 }
 
-/// Opens a regular file for reading. Fails if the path is a folder, a FIFO or a device; to open a FIFO would wait for its
-/// writer.
+/// Opens a regular file for reading. Fails if the path is a folder, a FIFO, a device, or a link that leads nowhere; to open a
+/// FIFO would wait for its writer.
 pub fn open(path: &Path) -> Result<File, SceneError> {
     let failed = |cause| SceneError::io(path, cause);
-    let kind = fs::metadata(path).map_err(failed)?;
+    let kind = fs::metadata(path).map_err(|cause| match path.is_symlink() {
+        true => SceneError::malformed(path, format!("is a link that leads nowhere ({cause})")),
+        false => failed(cause),
+    })?;
     if !kind.is_file() {
         let fault = if kind.is_dir() { "is a folder, not a file" } else { "is not a file" };
         return Err(SceneError::malformed(path, fault));
@@ -78,7 +81,8 @@ pub fn is_full_disk(error: &SceneError) -> bool {
 
 /// Renames a folder, a FIFO or a device that has the path of a file, so that the file can be written. Returns the new path.
 pub fn set_aside_unless_file(path: &Path) -> Result<Option<PathBuf>, SceneError> {
-    (path.exists() && !path.is_file()).then(|| set_aside(path)).transpose()
+    let is_there = fs::symlink_metadata(path).is_ok();
+    (is_there && !path.is_file()).then(|| set_aside(path)).transpose()
 }
 
 /// Renames a file, or whatever has its name, so that it no longer counts: `a.json` becomes `a.damaged`, or `a.damaged-2` if
@@ -116,5 +120,20 @@ mod tests {
         assert!(set_aside(&path).unwrap().is_dir());
         assert!(!is_damage(&read(&path).unwrap_err()), "a missing file is not damaged");
         assert_eq!(fs::read(folder.path().join("a.damaged-2")).unwrap(), b"a.damaged-2");
+    }
+
+    #[cfg(unix)]
+    #[test]
+    fn a_link_that_leads_nowhere_is_damage() {
+        let folder = tempfile::tempdir().unwrap();
+        let path = folder.path().join("a.json");
+        for target in ["missing", "a.json"] {
+            std::os::unix::fs::symlink(target, &path).unwrap();
+            let error = read(&path).unwrap_err();
+            assert!(is_damage(&error) && error.to_string().contains("leads nowhere"), "{error}");
+            let kept = set_aside_unless_file(&path).unwrap().unwrap();
+            assert!(kept.is_symlink() && !path.is_symlink());
+        }
+        assert!(set_aside_unless_file(&path).unwrap().is_none(), "nothing is there");
     }
 }

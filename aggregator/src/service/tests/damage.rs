@@ -165,8 +165,9 @@ fn a_list_of_withdrawn_models_that_cannot_be_read_stops_the_start_with_the_remed
     }
 }
 
-/// As [`DAMAGES`], and a bit that is flipped, a file that is deleted, one with the content of another, and a stray one.
-pub(super) const SWEPT: [Damage; 7] = [
+/// As [`DAMAGES`], and a bit that is flipped, a file that is deleted, one with the content of another, a link that leads
+/// nowhere, and a stray file.
+pub(super) const SWEPT: [Damage; 8] = [
     ("bit", |path| {
         let mut bytes = fs::read(path).unwrap();
         let middle = bytes.len() / 2;
@@ -185,6 +186,10 @@ pub(super) const SWEPT: [Damage; 7] = [
         if let Some(other) = other {
             fs::copy(other.path(), path).unwrap();
         }
+    }),
+    ("dead link", |path| {
+        fs::remove_file(path).unwrap();
+        std::os::unix::fs::symlink("missing", path).unwrap();
     }),
     ("stray", |path| {
         let extension = path.extension().unwrap_or_default().to_str().unwrap();

@@ -50,12 +50,17 @@ impl MqttConfig {
     }
 
     /// The same for a client that only reads whether the device is connected. It has no will, which would end the session of
-    /// the device.
+    /// the device. It asks for a session, which shows whether the broker takes it for the device itself.
     pub(super) fn into_presence_client(self) -> ClientSettings {
         let Identity { site, device, .. } = self.identity;
         let topic = Topic::State { device }.to_text(&site);
         let client_id = format!("{}-looking", self.identity.client_id());
-        ClientSettings { client_id, will: None, ..self.subscribed_to(&[topic], 0) }
+        ClientSettings {
+            client_id,
+            receive_max: 1,
+            will: None,
+            ..self.subscribed_to(&[topic], SESSION_EXPIRY_S)
+        }
     }
 
     /// The same for a participant that only tries whether it is let in. Of what the broker has kept, it lets it send as

@@ -14,6 +14,8 @@ use super::stream::{self, Stream};
 
 /// Time for everything from the first packet of TCP to the broker's CONNACK.
 const CONNECT_TIMEOUT: Duration = Duration::from_secs(5);
+/// First bytes that a broker may answer with: CONNACK, DISCONNECT, AUTH.
+const ANSWERS: [u8; 3] = [0x20, 0xE0, 0xF0];
 /// Bytes that are asked of the network at once.
 const READ_BYTES: usize = 16 << 10;
 
@@ -53,6 +55,10 @@ impl Connection {
         };
         connection.queue(&settings.hello(is_anew));
         loop {
+            // Other services greet with a line of text, whose first letters may read as the length of a packet.
+            if connection.input.first().is_some_and(|byte| !ANSWERS.contains(byte)) {
+                return Err(Fault::NoBroker);
+            }
             match connection.next_packet()? {
                 Some(Packet::ConnAck(ack)) if ack.code == ConnectReturnCode::Success => {
                     return Ok((connection, ack));

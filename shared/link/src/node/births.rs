@@ -4,6 +4,8 @@ use std::collections::BTreeMap;
 
 use cosurf_wire::{DeviceId, State};
 
+use crate::identity::Identity;
+
 /// If births of an older session arrive this many times after the birth of a newer one, two participants use
 /// the same name. Fewer are no proof, since a broker may repeat an outdated birth once or twice.
 const RETURNS_MAX: u32 = 3;
@@ -13,6 +15,8 @@ const RETURNS_MAX: u32 = 3;
 pub(super) struct Births {
     sessions: BTreeMap<DeviceId, Sessions>,
     is_full_told: bool,
+    /// The newest session of another participant under this one's name; 0 if there is none.
+    rival: u64,
 }
 
 #[derive(Clone, Copy, Debug, Default)]
@@ -55,6 +59,17 @@ impl Births {
         let sealed = if is_past { before } else { sealed };
         self.sessions.insert(state.device, Sessions { newest: newest.max(state.session), sealed, returns });
         if is_past && returns == RETURNS_MAX { Notice::SameName } else { Notice::Valid }
+    }
+
+    /// Whether a birth is the first of a later session under this participant's own name, which another one must have begun. If
+    /// the broker lets both stay connected, there are no more births.
+    pub(super) fn is_new_rival(&mut self, own: &Identity, state: &State) -> bool {
+        let is_later = state.session > self.rival.max(own.session);
+        let is_rival = state.device == own.device && state.alive && is_later;
+        if is_rival {
+            self.rival = state.session;
+        }
+        is_rival
     }
 
     /// The session by which a device knows replies to its offers; `None` if none of its notices has arrived.

@@ -53,7 +53,7 @@ pub enum NodeEvent {
         /// The cell; `None` if the plan has none for this device.
         cell: Option<PlannedCell>,
     },
-    /// Two participants use the same name, so the broker keeps disconnecting one of them.
+    /// Two participants use the same name. Most brokers keep disconnecting one of them.
     SameName(DeviceId),
     /// The node accepted an offer, and requests the chunks of the body.
     Receiving(ModelHeader),

@@ -207,6 +207,9 @@ impl Node {
     }
 
     fn receive_state(&mut self, state: State, sealed: u64) {
+        if self.births.is_new_rival(&self.identity, &state) {
+            self.events.push_back(NodeEvent::SameName(state.device));
+        }
         match self.births.record(&state, sealed, self.devices_max) {
             Notice::Outdated => return,
             Notice::SameName => self.events.push_back(NodeEvent::SameName(state.device)),
