@@ -19,6 +19,7 @@ mod masks;
 mod pairs;
 mod photographs;
 mod placing;
+mod plausible;
 mod publishing;
 mod recipe;
 mod reconstruction;
@@ -38,6 +39,7 @@ pub use error::IngestError;
 use given::Given;
 use photographs::Photographs;
 use placing::{Places, up_of};
+use plausible::missing_photographs;
 use publishing::Poses;
 use recipe::Recipe;
 use reconstruction::Reconstruction;
@@ -107,6 +109,7 @@ pub fn ingest(plan: &IngestPlan, tell: &mut dyn FnMut(AgentEvent)) -> Result<Ing
         resumed: false,
     });
     tell_left_out(tell, &photographs.left_out);
+    tell_left_out(tell, missing_photographs(&photographs.usable, &photographs.control).as_slice());
     let places = Places::of(&photographs, plan.origin)?;
 
     let recipe = Recipe::new(&colmap, &photographs, &work, plan.max_size_px)?;

@@ -58,7 +58,8 @@ use std::path::{Path, PathBuf};
 
 use cosurf_engine::budget::PROCESS_BYTES;
 use cosurf_geo::Georeference;
-use cosurf_scene::{SceneError, atomic};
+use cosurf_scene::{LocalFrame, Mesh, SceneError, atomic};
+use glam::DVec3;
 
 use crate::mesh::{FuseEvent, MeshError};
 use crate::service::remove;
@@ -73,18 +74,18 @@ use floaters::Floaters;
 use heights::{Covered, Ground, Surface, find_heights};
 use lattice::Lattice;
 use place::Place;
-use points::write_points;
+use points::{Points, StoredPoints};
 use quadtree::Quadtree;
 pub use scene::FusedMesh;
 use scene::{Relief, Scene};
 use solid::{Shown, SolidSize, write_solid};
 use splat_tiles::{SplatTiles, write_splat_tiles};
-use splats::splats_from_above;
-use terrain::find_terrain;
+use splats::{Sieve, splats_from_above};
+use terrain::{find_terrain, leave_trusted};
 use tiles::Tiles;
 use views::{Views, find_views};
 pub use volumes::Volume;
-use volumes::{find_volumes, read_polygons};
+use volumes::{check_near, find_volumes, read_polygons};
 use witnesses::Witnesses;
 
 /// Usual difference of height between two contours, metres.
@@ -154,6 +155,9 @@ pub fn survey(order: &SurveyOrder, mut on_event: impl FnMut(SurveyEvent)) -> Res
     // Read before the mesh is made, so that a wrong file is reported at once.
     let polygons = order.volumes.as_deref().map(|file| read_polygons(file, &place)).transpose()?;
     let scene = Scene::open(&order.folder)?;
+    if let (Some(polygons), Some(file)) = (&polygons, &order.volumes) {
+        check_near(polygons, file, &scene.cameras, &place)?;
+    }
     check_memory(&scene, order)?;
     fs::create_dir_all(&order.out).map_err(|cause| SceneError::io(&order.out, cause))?;
     atomic::remove_partial_files(&order.out)?;
@@ -171,11 +175,12 @@ pub fn survey(order: &SurveyOrder, mut on_event: impl FnMut(SurveyEvent)) -> Res
     let mut show = |what, stage, done, of| on_event(SurveyEvent::Counted { what, stage, done, of });
     let voxel_m = relief.voxel_m;
     let shape = Shape::of(relief, &scene, place, order, &mut show)?;
-    let Shape { lattice, mut heights, depths, points, solid } = shape;
-    write_ground(&order.out, order, &lattice, &mut heights)?;
+    let Shape { lattice, mut heights, depths, points, solid, bounds } = shape;
+    let mut terrain = Tiles::new(&order.out, lattice.size_px(), lattice::TILE_PX)?;
+    find_terrain(&mut heights, lattice.gsd_m(), &mut terrain, order.memory_bytes)?;
 
-    let splats =
-        write_colors(&scene, order, &lattice, &mut heights, voxel_m, |d, n| show("tile", "colours", d, n))?;
+    let seen = Seen { heights: &mut heights, bounds, voxel_m };
+    let splats = write_colors(&scene, order, &lattice, seen, |d, n| show("tile", "colours", d, n))?;
 
     let mut views = Tiles::<Views>::new(&order.out, lattice.size_px(), lattice::TILE_PX)?;
     find_views(depths, &lattice, &mut heights, &mut views, voxel_m, |d, n| show("view", "comparing", d, n))?;
@@ -185,17 +190,18 @@ pub fn survey(order: &SurveyOrder, mut on_event: impl FnMut(SurveyEvent)) -> Res
     cog::write_claims(&out("confidence.tif"), &lattice, &mut claims)?;
     cog::write_heights(&out("dsm.tif"), &lattice, &mut heights)?;
     let covered = Covered::of(&lattice, &mut heights)?.ok_or(SurveyError::NothingSeen)?;
-    let volumes = match &polygons {
-        Some(polygons) => Some(find_volumes(polygons, &lattice, &mut heights)?),
-        None => None,
-    };
+    write_ground(&order.out, order, &lattice, &mut heights, &mut terrain)?;
+    let points =
+        points.read()?.trusted(&lattice, &mut heights)?.write(&out("points.laz"), lattice.place())?;
+    let volumes = polygons.as_deref().map(|polygons| find_volumes(polygons, &lattice, &mut heights));
+    let volumes = volumes.transpose()?;
     if let Some(volumes) = &volumes {
-        atomic::write_bytes(&out("volumes.json"), volumes::to_json(volumes).as_bytes())?;
+        atomic::write_bytes(&out("volumes.json"), volumes.to_json().as_bytes())?;
     }
 
     let cameras = scene.cameras.len();
     let made = Made { covered, height_error_m, points, solid, voxel_m, cameras, splats };
-    let accuracy = accuracy_of(&order.georeference, &lattice, &made, order.contours_m, volumes.is_some());
+    let accuracy = accuracy_of(&order.georeference, &lattice, &made, order.contours_m, volumes.as_ref());
     atomic::write_bytes(&accuracy_file, accuracy.to_json().as_bytes())?;
     Ok(accuracy)
 }
@@ -235,9 +241,18 @@ struct Shape {
     heights: Tiles<f32>,
     /// What each camera shows.
     depths: Depths,
-    /// Number of points in `points.laz`.
-    points: u64,
+    /// The vertices that enough cameras see.
+    points: StoredPoints,
     solid: SolidSize,
+    /// Lowest and highest coordinates of these vertices, in the world.
+    bounds: [DVec3; 2],
+}
+
+/// The surface that splats are compared with.
+struct Seen<'a> {
+    heights: &'a mut Tiles<f32>,
+    bounds: [DVec3; 2],
+    voxel_m: f64,
 }
 
 impl Shape {
@@ -267,7 +282,8 @@ impl Shape {
         let lattice = Lattice::around(place, &ground.extent, gsd_m)?;
         check_map(&lattice, order.memory_bytes)?;
         let place = lattice.place();
-        let points = write_points(&out.join("points.laz"), &mesh, &ground.is_seen, place, &scene.frame)?;
+        let bounds = bounds_of(&mesh, &ground.is_seen, &scene.frame);
+        let points = Points::of(&mesh, &ground.is_seen, place, &scene.frame)?.store(out)?;
         let tree = Quadtree::of(&mesh, &ground.is_seen).ok_or(SurveyError::NothingSeen)?;
         let held_bytes = parts::bytes(&mesh) + tree.bytes() + size_of_val(&ground.is_seen[..]) as u64;
         let bytes = order.memory_bytes.saturating_sub(PROCESS_BYTES + held_bytes);
@@ -280,8 +296,15 @@ impl Shape {
         if !find_heights(&surface, &witnesses, &lattice, &mut heights, on_tile)? {
             return Err(SurveyError::NothingSeen);
         }
-        Ok(Self { lattice, heights, depths, points, solid })
+        Ok(Self { lattice, heights, depths, points, solid, bounds })
     }
+}
+
+/// Lowest and highest coordinates of the vertices that enough cameras see, in the world.
+fn bounds_of(mesh: &Mesh, is_seen: &[bool], frame: &LocalFrame) -> [DVec3; 2] {
+    let seen = mesh.positions.iter().zip(is_seen).filter(|(_, is_seen)| **is_seen);
+    let world = seen.map(|(at, _)| frame.world_from_local(at.map(f64::from).into()));
+    world.fold([DVec3::INFINITY, DVec3::NEG_INFINITY], |[low, high], at| [low.min(at), high.max(at)])
 }
 
 /// Writes the orthophoto, and the splats as tiles.
@@ -289,12 +312,13 @@ fn write_colors(
     scene: &Scene,
     order: &SurveyOrder,
     lattice: &Lattice,
-    heights: &mut Tiles<f32>,
-    voxel_m: f64,
+    seen: Seen,
     on_tile: impl FnMut(usize, usize),
 ) -> Result<SplatTiles, SurveyError> {
     let memory_bytes = order.memory_bytes;
-    let kept = splats_from_above(scene, lattice, heights, voxel_m, &order.out, memory_bytes)?;
+    let Seen { heights, bounds, voxel_m } = seen;
+    let sieve = Sieve::new(scene, lattice, heights, bounds, voxel_m);
+    let kept = splats_from_above(scene, sieve, &order.out, memory_bytes)?;
     let mut colors = Tiles::new(&order.out, lattice.size_px(), lattice::TILE_PX)?;
     let painter = Painter { splats: kept.file(), frame: scene.frame, memory_bytes, threads: order.threads };
     painter.paint(lattice, heights, &mut colors, on_tile)?;
@@ -302,16 +326,16 @@ fn write_colors(
     write_splat_tiles(&order.out, scene, kept.floats(), lattice.place(), memory_bytes)
 }
 
-/// Writes the terrain and its contours.
+/// Writes the terrain and its contours, as far as the heights can be trusted.
 fn write_ground(
     out: &Path,
     order: &SurveyOrder,
     lattice: &Lattice,
-    heights: &mut Tiles<f32>,
+    trusted: &mut Tiles<f32>,
+    terrain: &mut Tiles<f32>,
 ) -> Result<(), SurveyError> {
-    let mut terrain = Tiles::new(out, lattice.size_px(), lattice::TILE_PX)?;
-    let range_m = find_terrain(heights, lattice.gsd_m(), &mut terrain, order.memory_bytes)?;
-    cog::write_heights(&out.join("dtm.tif"), lattice, &mut terrain)?;
+    let range_m = leave_trusted(terrain, trusted, lattice.gsd_m(), order.memory_bytes)?;
+    cog::write_heights(&out.join("dtm.tif"), lattice, terrain)?;
     let contours = ContourOrder { step_m: order.contours_m, range_m, memory_bytes: order.memory_bytes };
-    write_contours(&out.join("contours.geojson"), lattice, &mut terrain, &contours)
+    write_contours(&out.join("contours.geojson"), lattice, terrain, &contours)
 }

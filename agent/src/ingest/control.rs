@@ -2,7 +2,7 @@
 
 use std::collections::HashMap;
 
-use cosurf_geo::{ControlPoint, Sighting, SiteFrame};
+use cosurf_geo::{ControlPoint, Mark, Sighting, SiteFrame};
 use glam::{DMat3, DVec2, DVec3};
 
 use super::reconstruction::Reconstruction;
@@ -11,6 +11,8 @@ use super::reconstruction::Reconstruction;
 const ANGLE_MIN_DEG: f64 = 2.0;
 /// A mark so many pixels off has a quarter of its weight.
 const QUARTER_AT_PX: f64 = 5.0;
+/// A mark so many pixels off is of something else: even in photographs of 20 megapixels, marks are set to a few pixels.
+const WRONG_FROM_PX: f64 = 20.0;
 /// Rounds of weights.
 const ROUNDS: usize = 20;
 /// Standard deviation of a point that was measured and marked with care, metres: RTK has 2 to 3 cm, a pixel as much.
@@ -45,27 +47,21 @@ pub(super) fn seen(points: &[ControlPoint], its: &Reconstruction, site: &SiteFra
     let mut all = Vec::new();
     let mut seen = SeenPoints::default();
     for point in points {
-        let (marks, sights): (Vec<(usize, DVec2)>, Vec<Sight>) = point
-            .marks
-            .iter()
-            .filter_map(|mark| {
-                let photograph = *by_name.get(&file_name(&mark.photograph))?;
-                let (eye, ray, focal_px) = its.sight(&its.posed[photograph], mark.at_px)?;
-                Some(((photograph, mark.at_px), Sight { eye, ray, focal_px }))
-            })
-            .unzip();
-        match triangulate(&sights) {
-            Some(model) => {
+        let in_dataset = |mark: &Mark| Some((*by_name.get(&file_name(&mark.photograph))?, mark.at_px));
+        let marks: Vec<(usize, DVec2)> = point.marks.iter().filter_map(in_dataset).collect();
+        match locate(&marks, its) {
+            Ok(Located { model, marks, wrong }) => {
+                let mark = |photograph: usize| {
+                    format!("the mark of {} in {}", point.name, its.posed[photograph].name)
+                };
+                seen.left_out
+                    .extend(wrong.into_iter().map(|(photograph, reason)| (mark(photograph), reason)));
                 let enu_m = site.enu_from_geodetic(&point.place);
                 let sighting = Sighting { model, enu_m, has_height: true, sigma_m: SIGMA_M };
                 all.push((point.is_check(), SeenPoint { name: point.name.clone(), marks, sighting }));
             }
-            None => {
-                let reason = format!(
-                    "{} of the {} photographs that show it are in the dataset; a point takes two from different places",
-                    sights.len(),
-                    point.marks.len()
-                );
+            Err(unseen) => {
+                let reason = unseen.reason(marks.len(), point.marks.len());
                 let noun = if point.is_check() { "check point" } else { "control point" };
                 seen.left_out.push((format!("{noun} {}", point.name), reason));
             }
@@ -80,8 +76,80 @@ pub(super) fn seen(points: &[ControlPoint], its: &Reconstruction, site: &SiteFra
     seen
 }
 
+/// Where marks of one point meet.
+struct Located {
+    /// In the frame of the reconstruction.
+    model: DVec3,
+    /// The marks that agree.
+    marks: Vec<(usize, DVec2)>,
+    /// Photographs whose marks do not, and why these do not count.
+    wrong: Vec<(usize, String)>,
+}
+
+/// Why the marks of a point give no place.
+enum Unseen {
+    /// Too few photographs, or from too similar places.
+    TooFew,
+    /// So many marks lie outside their pictures.
+    Outside(usize),
+    /// The marks are of different things: two of them are so many pixels apart.
+    Contradictory(f64),
+}
+
+impl Unseen {
+    /// In words, for a point with so many marks, of which `in_dataset` are in photographs of the dataset.
+    fn reason(&self, in_dataset: usize, marks: usize) -> String {
+        match self {
+            Self::TooFew => format!(
+                "{in_dataset} of the {marks} photographs that show it are in the dataset; a point takes two from \
+                 different places"
+            ),
+            Self::Outside(count) => format!(
+                "{count} of its {marks} marks lie outside their pictures; pixels count from the top-left corner of the \
+                 photograph as it was taken, x first"
+            ),
+            Self::Contradictory(off_px) => {
+                format!("its marks are of different things, {off_px:.0} pixels apart; check them")
+            }
+        }
+    }
+}
+
+/// Finds where marks meet. Leaves out those that are of something else than the others, if at least two agree.
+fn locate(marks: &[(usize, DVec2)], its: &Reconstruction) -> Result<Located, Unseen> {
+    let is_inside = |(photograph, at_px): &(usize, DVec2)| {
+        let size_px = its.lenses[its.posed[*photograph].lens].size_px;
+        at_px.x <= f64::from(size_px[0]) && at_px.y <= f64::from(size_px[1])
+    };
+    let outside: Vec<usize> = marks.iter().filter(|mark| !is_inside(mark)).map(|mark| mark.0).collect();
+    let sight = |(photograph, at_px): &(usize, DVec2)| {
+        let (eye, ray, focal_px) = its.sight(&its.posed[*photograph], *at_px)?;
+        Some(((*photograph, *at_px), Sight { eye, ray, focal_px }))
+    };
+    let (marks, sights): (Vec<_>, Vec<Sight>) =
+        marks.iter().filter(|mark| is_inside(mark)).filter_map(sight).unzip();
+    let few = if outside.is_empty() { Unseen::TooFew } else { Unseen::Outside(outside.len()) };
+    let Some(model) = triangulate(&sights) else { return Err(few) };
+    let off_px: Vec<f64> = sights.iter().map(|sight| sight.off_px(model)).collect();
+    let (right, wrong): (Vec<usize>, Vec<usize>) = (0..marks.len()).partition(|i| off_px[*i] < WRONG_FROM_PX);
+    let of_right: Vec<Sight> = right.iter().map(|i| sights[*i]).collect();
+    let Some(model) = triangulate(&of_right) else {
+        return Err(Unseen::Contradictory(2.0 * off_px.iter().copied().fold(0.0, f64::max)));
+    };
+    let elsewhere = |i: usize| {
+        let off_px = sights[i].off_px(model);
+        let reason = format!(
+            "is {off_px:.0} pixels from where the other photographs show the point; it does not count"
+        );
+        (marks[i].0, reason)
+    };
+    let outside = outside.into_iter().map(|i| (i, "lies outside the picture; it does not count".to_owned()));
+    let wrong = outside.chain(wrong.into_iter().map(elsewhere)).collect();
+    Ok(Located { model, marks: right.into_iter().map(|i| marks[i]).collect(), wrong })
+}
+
 /// Lists name files without folders, and often in other letters.
-fn file_name(name: &str) -> String {
+pub(super) fn file_name(name: &str) -> String {
     name.rsplit(['/', '\\']).next().unwrap_or(name).to_lowercase()
 }
 
@@ -134,7 +202,7 @@ fn triangulate(sights: &[Sight]) -> Option<DVec3> {
 mod tests {
     #![allow(clippy::unwrap_used)]
     use super::*;
-    use cosurf_geo::{Geodetic, Mark};
+    use cosurf_geo::Geodetic;
 
     /// Photographs along a line, 10 above the ground.
     fn reconstruction(count: usize) -> Reconstruction {
@@ -171,7 +239,9 @@ mod tests {
         with_bad_mark.marks[2].at_px.x += 80.0;
         let points = [point("a", at, &[0, 3, 9], 0.0), with_bad_mark];
         let seen = seen(&points, &reconstruction(6), &site());
-        assert_eq!([seen.control[0].marks.len(), seen.control[1].marks.len()], [2, 5]);
+        assert_eq!([seen.control[0].marks.len(), seen.control[1].marks.len()], [2, 4]);
+        assert_eq!(seen.left_out[0].0, "the mark of b in IMG_2.JPG");
+        assert!(seen.left_out[0].1.starts_with("is 80 pixels"), "{:?}", seen.left_out);
         assert!(seen.control[0].sighting.model.distance(at) < 1e-9, "{:?}", seen.control[0]);
         assert!(seen.control[1].sighting.model.distance(at) < 0.02, "{:?}", seen.control[1]);
         assert!((seen.control[0].sighting.enu_m - DVec3::new(0.0, 0.0, 70.0)).length() < 1e-6);
@@ -184,6 +254,24 @@ mod tests {
         assert!(seen.control.is_empty());
         assert_eq!(seen.left_out[0].0, "control point a");
         assert!(seen.left_out[0].1.starts_with("1 of the 3 photographs"), "{:?}", seen.left_out);
+    }
+
+    #[test]
+    fn marks_outside_of_pictures_or_of_different_things_are_told_as_such() {
+        let reason = |point: ControlPoint| {
+            let seen = seen(&[point], &reconstruction(4), &site());
+            assert!(seen.control.is_empty());
+            seen.left_out[0].1.clone()
+        };
+        let mut outside = point("a", DVec3::X, &[0, 1], 0.0);
+        outside.marks[1].at_px.x = 700.0;
+        let told = reason(outside);
+        assert!(told.starts_with("1 of its 2 marks lie outside their pictures"), "{told}");
+        // The lines of sight pass each other, across the line on which the photographs were taken.
+        let mut other_thing = point("a", DVec3::X, &[0, 3], 0.0);
+        other_thing.marks[1].at_px.y += 100.0;
+        let told = reason(other_thing);
+        assert!(told.contains("of different things, 100 pixels apart"), "{told}");
     }
 
     #[test]

@@ -12,6 +12,7 @@ use glam::{DQuat, DVec3};
 use super::adjustment::{KnownCenter, KnownPoint};
 use super::control::{SeenPoint, seen};
 use super::photographs::Photographs;
+use super::plausible::{check_axes, check_place, gps_elsewhere};
 use super::reconstruction::{Posed, Reconstruction};
 
 /// GPS of the best receivers, RTK, is not better than this, metres.
@@ -48,6 +49,7 @@ impl Places {
         let gps: HashMap<String, Gps> =
             usable.filter_map(|photograph| Some((photograph.name.clone(), photograph.gps?))).collect();
         let control = photographs.control.clone();
+        check_place(&photographs.usable, &control)?;
         if gps.len() < 3 && control.iter().filter(|point| !point.is_check()).count() < 2 {
             return Ok(None);
         }
@@ -64,8 +66,10 @@ impl Places {
         let (photographs, gps): (Vec<usize>, Vec<Sighting>) = self.sightings(its).unzip();
         let seen = seen(&self.control, its, &self.site);
         let control: Vec<Sighting> = seen.control.iter().map(|point| point.sighting).collect();
+        check_axes(&control, up)?;
         let fit = fit(&gps, &control, up)?;
         let similarity = fit.similarity;
+        let gps_rms_m = fit.residuals.as_ref().map_or(0.0, |its| its.horizontal_rms_m);
         let residual = |point: &SeenPoint| residual(point, &similarity);
         let agreeing = seen.control.iter().zip(&fit.control).filter(|(_, its)| its.agrees);
         let residuals = Residuals {
@@ -76,6 +80,7 @@ impl Places {
         };
         let georeference = Georeference { residuals, ..Georeference::at(self.site.origin())? };
         let mut left_out = seen.left_out;
+        left_out.extend(gps_elsewhere(control.len(), gps_rms_m));
         let wrong = seen.control.iter().zip(&fit.control).filter(|(_, its)| !its.agrees);
         left_out.extend(wrong.map(|(point, _)| wrong_control(&residual(point))));
         let wrong = photographs.iter().zip(&gps).zip(&fit.gps).filter(|(_, its)| !its.agrees);
@@ -168,7 +173,7 @@ pub(super) fn upright(up: &Up) -> Placed {
     }
 }
 
-fn geodetic(gps: &Gps) -> Geodetic {
+pub(super) fn geodetic(gps: &Gps) -> Geodetic {
     let Gps { latitude_deg, longitude_deg, height_m } = *gps;
     Geodetic { latitude_deg, longitude_deg, height_m: height_m.unwrap_or(0.0) }
 }

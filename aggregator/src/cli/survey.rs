@@ -116,6 +116,9 @@ pub(super) fn print(accuracy: &Accuracy, out: &Path, seconds: f64, json: bool) -
         accuracy.heights,
         counted(*points, "point"),
     )?;
+    for left_out in &accuracy.volumes_left_out {
+        eprintln!("left out of volumes.json: {left_out}");
+    }
     for made in &accuracy.made {
         writeln!(stdout, "{}", out.join(made.file).display())?;
     }

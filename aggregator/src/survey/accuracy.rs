@@ -9,6 +9,7 @@ use super::heights::Covered;
 use super::lattice::Lattice;
 use super::solid::SolidSize;
 use super::splat_tiles::SplatTiles;
+use super::volumes::Volumes;
 
 /// The content of `accuracy.json`.
 #[derive(Clone, Debug, PartialEq, Serialize)]
@@ -50,7 +51,7 @@ pub struct Accuracy {
     pub splats: usize,
     /// Number of levels of detail in `splats/tileset.json`.
     pub splat_levels: usize,
-    /// Number of splats that floated above the surface, and are not in `ortho.tif` and `splats`.
+    /// Number of splats that floated above the surface or lay far outside of it, and are not in `ortho.tif` and `splats`.
     pub splats_left_out: usize,
     /// How well the photographs' GPS agrees with their poses; absent if the place does not come from GPS.
     pub gps: Option<GpsResiduals>,
@@ -61,6 +62,8 @@ pub struct Accuracy {
     /// Of a model that was merged from those of several drones: what is known of the place of each. The fields above are then
     /// absent. Empty otherwise.
     pub drones: Vec<DroneResiduals>,
+    /// A line for each polygon that is not in `volumes.json`, with the reason.
+    pub volumes_left_out: Vec<String>,
     /// For each file: how it was made.
     pub made: Vec<MadeFile>,
 }
@@ -100,7 +103,7 @@ pub(super) fn accuracy_of(
     lattice: &Lattice,
     made: &Made,
     contours_m: f64,
-    has_volumes: bool,
+    volumes: Option<&Volumes>,
 ) -> Accuracy {
     let Made { covered, height_error_m, points, solid, voxel_m, cameras, splats } = *made;
     let residuals = &georeference.residuals;
@@ -128,7 +131,8 @@ pub(super) fn accuracy_of(
         control: PointsAccuracy::of(&residuals.control),
         check: PointsAccuracy::of(&residuals.check),
         drones: georeference.drones.clone(),
-        made: made_files(contours_m, solid.texel_m, has_volumes),
+        volumes_left_out: volumes.map_or_else(Vec::new, |volumes| volumes.left_out.clone()),
+        made: made_files(contours_m, solid.texel_m, volumes.is_some()),
     }
 }
 
@@ -139,14 +143,14 @@ fn made_files(contours_m: f64, texel_m: Option<f64>, has_volumes: bool) -> Vec<M
     };
     let mut files = vec![
         ("dsm.tif", "Highest surface of a mesh, at the centre of each pixel, if three cameras show it and few look through it; the mesh was fused from the model's depth in all cameras.".into()),
-        ("dtm.tif", "Heights of dsm.tif where the progressive morphological filter (Zhang et al. 2003) finds bare ground, and between them heights of the ground around.".into()),
+        ("dtm.tif", "Heights of dsm.tif where the progressive morphological filter (Zhang et al. 2003) finds bare ground, and between them heights of the ground around; gaps of dsm.tif up to 50 m wide are filled.".into()),
         ("ortho.tif", "The splats of the model, rendered from straight above each pixel, without those that float above the mesh.".into()),
         ("confidence.tif", "How many views show the surface of dsm.tif at each pixel; the root mean square of the differences between the heights they show and dsm.tif, metres; and the error that about 68 % of such heights stay below, metres, by a model of views, differences and edges that was fitted to two known surfaces.".into()),
-        ("points.laz", "The vertices of the mesh that two cameras see and that no more views look through than show, with its colours, as a Cloud-Optimised Point Cloud.".into()),
+        ("points.laz", "The vertices of the mesh that two cameras see and that no more views look through than show, where dsm.tif has heights, with its colours, as a Cloud-Optimised Point Cloud.".into()),
         ("mesh.glb", format!("The mesh without the other vertices, decimated by quadric errors of position and colour. {colors} Its heights are above the origin.")),
         ("mesh.obj", "The triangles of mesh.glb in the coordinate system and with the heights of the maps, minus the whole kilometres that its first line tells.".into()),
         ("tileset.json", "The same mesh as a quadtree of tiles, each level decimated further; its place is earth-centred, so it needs no geoid.".into()),
-        ("splats/tileset.json", "The splats of the model without those that float above the mesh, as a quadtree of tiles of glTF with SPZ; each level has a quarter of the splats of the level below, enlarged to cover as much.".into()),
+        ("splats/tileset.json", "The splats of the model without those that float above the mesh or lie far outside of it, as a quadtree of tiles of glTF with SPZ; each level has a quarter of the splats of the level below, enlarged to cover as much.".into()),
         ("contours.geojson", format!("Lines every {contours_m} m, by marching squares through means of dtm.tif.")),
     ];
     if let Some(texel_m) = texel_m {

@@ -65,14 +65,6 @@ pub enum SurveyError {
         /// A difference that suffices, metres.
         enough_m: f64,
     },
-    /// A polygon has no surface at its border.
-    #[error(
-        "{name}: its border shows too little of the surface to fit a plane to it; draw it on ground that the map covers"
-    )]
-    NoBorder {
-        /// Name of the polygon.
-        name: String,
-    },
 }
 
 impl From<ViewError> for SurveyError {

@@ -56,6 +56,12 @@ impl Window {
     pub(super) fn pixels(&self) -> usize {
         self.size[0] as usize * self.size[1] as usize
     }
+
+    /// Position in the map, px, of the middle of its `index`-th pixel, row by row.
+    pub(super) fn middle_of(&self, index: usize) -> DVec2 {
+        let [x, y] = [index as u32 % self.size[0], index as u32 / self.size[0]];
+        DVec2::new(f64::from(self.at[0] + x), f64::from(self.at[1] + y)) + 0.5
+    }
 }
 
 impl Lattice {

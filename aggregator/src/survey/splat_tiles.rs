@@ -46,7 +46,7 @@ const COARSER: f64 = 1.5;
 pub(super) struct SplatTiles {
     /// Number of splats of the finest tiles.
     pub(super) splats: usize,
-    /// Number of splats that float, and are in no tile.
+    /// Number of splats that float or lie far outside of the mesh, and are in no tile.
     pub(super) left_out: usize,
     /// Number of levels of detail.
     pub(super) levels: usize,

@@ -22,6 +22,8 @@ use super::tiles::Tiles;
 
 /// A splat more than this many voxels above the surface floats: where views agree, the surface is within a voxel or two.
 const FLOATING_VOXELS: f64 = 5.0;
+/// A splat lies far outside of the mesh if it is more than this share of the mesh's diagonal away from its box.
+const OUTSIDE_SHARE: f64 = 0.1;
 /// The surface counts up to this many voxels beside a splat, so that splats at the edge of a roof do not float.
 const BESIDE_VOXELS: f64 = 2.0;
 /// Splats that are read at once; with harmonics of degree 3, they take a MiB.
@@ -40,7 +42,7 @@ const DOWN: [(usize, f32); 3] = [(2, -0.488_602_5), (6, 0.630_783_1), (12, -0.74
 pub(super) struct Kept {
     /// A PLY in the frame of the scene, which is removed with this value.
     file: TempPath,
-    /// Whether each splat of the scene floats above the surface.
+    /// Whether each splat of the scene floats above the surface, or lies far outside of it.
     floats: Vec<bool>,
 }
 
@@ -50,7 +52,7 @@ impl Kept {
         &self.file
     }
 
-    /// Whether each splat of the scene floats above the surface, in the order of the scene.
+    /// Whether each splat of the scene floats above the surface or lies far outside of it, in the order of the scene.
     pub(super) fn floats(&self) -> &[bool] {
         &self.floats
     }
@@ -58,17 +60,14 @@ impl Kept {
 
 /// Writes the splats of a scene to a file in `folder`, without those that float above the surface: no camera looks straight
 /// down from above them, so nothing in training removed them, and on a map they would hide the ground. Where there is no
-/// height, those above the lowest camera float.
+/// height, those above the lowest camera float. Splats far outside of the mesh go too, on all sides and below: they are
+/// what cameras show behind the scene, and would make tiles that viewers never finish loading.
 pub(super) fn splats_from_above(
     scene: &Scene,
-    lattice: &Lattice,
-    heights: &mut Tiles<f32>,
-    voxel_m: f64,
+    mut sieve: Sieve,
     folder: &Path,
     memory_bytes: u64,
 ) -> Result<Kept, SurveyError> {
-    let lowest_eye_m = scene.lowest_eye_m();
-    let mut sieve = Sieve { frame: scene.frame, lattice, heights, voxel_m, lowest_eye_m };
     let floats = sieve.floats(scene, at_once(memory_bytes))?;
     let kept = floats.iter().filter(|floats| !**floats).count();
     // The name is one that the next survey removes if this one is killed.
@@ -112,7 +111,7 @@ fn push_seen_from_above(part: &Splats, floats: &[bool], splats: &mut Splats) {
 }
 
 /// Tells which splats float.
-struct Sieve<'a> {
+pub(super) struct Sieve<'a> {
     frame: LocalFrame,
     lattice: &'a Lattice,
     heights: &'a mut Tiles<f32>,
@@ -120,9 +119,24 @@ struct Sieve<'a> {
     voxel_m: f64,
     /// World height of the lowest camera, metres.
     lowest_eye_m: f64,
+    /// Lowest and highest coordinates of splats that are not far outside of the mesh, in the world.
+    around: [DVec3; 2],
 }
 
-impl Sieve<'_> {
+impl<'a> Sieve<'a> {
+    /// For a scene whose mesh lies within `bounds`, in the world.
+    pub(super) fn new(
+        scene: &Scene,
+        lattice: &'a Lattice,
+        heights: &'a mut Tiles<f32>,
+        [low, high]: [DVec3; 2],
+        voxel_m: f64,
+    ) -> Self {
+        let beside = DVec3::splat(OUTSIDE_SHARE * low.distance(high));
+        let (frame, lowest_eye_m) = (scene.frame, scene.lowest_eye_m());
+        Self { frame, lattice, heights, voxel_m, lowest_eye_m, around: [low - beside, high + beside] }
+    }
+
     /// Whether each splat of the scene floats. Keeps the positions of at most `at_once` and one part.
     fn floats(&mut self, scene: &Scene, at_once: usize) -> Result<Vec<bool>, SurveyError> {
         let (mut means, mut floats, mut failed) = (Vec::new(), Vec::new(), None);
@@ -149,7 +163,7 @@ impl Sieve<'_> {
 
     /// Indices of the splats that float, of those at some positions.
     fn floating(&mut self, means: &[[f32; 3]]) -> Result<Vec<u32>, SurveyError> {
-        let Self { frame, lattice, voxel_m, lowest_eye_m, .. } = *self;
+        let Self { frame, lattice, voxel_m, lowest_eye_m, around: [lowest, highest], .. } = *self;
         let heights = &mut *self.heights;
         let world = |splat: usize| frame.world_from_local(DVec3::from_array(means[splat].map(f64::from)));
         let map = |splat: usize| lattice.place().map_from_enu(world(splat));
@@ -164,10 +178,15 @@ impl Sieve<'_> {
         let mut order: Vec<u32> = (0..means.len() as u32).collect();
         order.sort_by_key(|splat| tiles[*splat as usize]);
         let beside_px = BESIDE_VOXELS * voxel_m / lattice.gsd_m();
+        let is_outside = |splat: u32| {
+            let at = world(splat as usize);
+            at.cmplt(lowest).any() || at.cmpgt(highest).any()
+        };
         let mut floating = Vec::new();
         for group in order.chunk_by(|a, b| tiles[*a as usize] == tiles[*b as usize]) {
             let Some(tile) = tiles[group[0] as usize] else {
-                floating.extend(group.iter().filter(|splat| world(**splat as usize).z > lowest_eye_m));
+                let floats = |splat: u32| world(splat as usize).z > lowest_eye_m || is_outside(splat);
+                floating.extend(group.iter().filter(|splat| floats(**splat)));
                 continue;
             };
             let (window, around) = heights.read_around(tile as usize, beside_px.ceil() as u32 + 1)?;
@@ -178,7 +197,7 @@ impl Sieve<'_> {
                     Some(surface_m) => at.z > surface_m + FLOATING_VOXELS * voxel_m,
                     None => world(*splat as usize).z > lowest_eye_m,
                 };
-                if floats {
+                if floats || is_outside(*splat) {
                     floating.push(*splat);
                 }
             }

@@ -13,6 +13,7 @@
 
 mod fill;
 mod filter;
+mod reach;
 
 use cosurf_scene::SceneError;
 use glam::DVec2;
@@ -20,26 +21,52 @@ use glam::DVec2;
 use super::grid::Grid;
 use super::tiles::Tiles;
 use fill::fill;
-use filter::{STEP_LEAST_M, is_ground};
+use filter::{HALF_WIDTH_MAX_M, STEP_LEAST_M, is_ground};
+use reach::Reach;
 
 /// Side of the cells, metres: small enough for a yard, large enough that the mean of a cell has little noise.
 const CELL_M: f64 = 1.0;
 
-/// Finds the height of the terrain at each pixel that has a height of the surface, and returns the lowest and the highest.
+/// Finds the height of the terrain at each pixel that has a height of the surface.
 pub(super) fn find_terrain(
     surface: &mut Tiles<f32>,
     gsd_m: f64,
     terrain: &mut Tiles<f32>,
     memory_bytes: u64,
-) -> Result<[f64; 2], SceneError> {
+) -> Result<(), SceneError> {
     let ground = Ground::of(surface, gsd_m, memory_bytes)?;
-    let mut range_m = [f64::INFINITY, f64::NEG_INFINITY];
     for tile in 0..surface.len() {
         let (window, mut heights) = (surface.window(tile), surface.read(tile)?);
         for (i, height) in heights.iter_mut().enumerate().filter(|(_, height)| !height.is_nan()) {
-            let [x, y] = [i as u32 % window.size[0], i as u32 / window.size[0]];
-            let px = DVec2::new(f64::from(window.at[0] + x) + 0.5, f64::from(window.at[1] + y) + 0.5);
-            *height = ground.height(px, *height);
+            *height = ground.height(window.middle_of(i), *height);
+        }
+        terrain.write(tile, &heights)?;
+    }
+    Ok(())
+}
+
+/// Leaves the terrain only where the surface can be trusted, and between such places: below an object of any width that the
+/// filter knows. Returns the lowest and the highest height that is left; `surface` has no others than trusted heights.
+pub(super) fn leave_trusted(
+    terrain: &mut Tiles<f32>,
+    surface: &mut Tiles<f32>,
+    gsd_m: f64,
+    memory_bytes: u64,
+) -> Result<[f64; 2], SceneError> {
+    let cell_px = (CELL_M / gsd_m).round().max(1.0) as u32;
+    let grid = Grid::of(surface, cell_px, memory_bytes)?;
+    let cell_m = f64::from(grid.cell_px) * gsd_m;
+    let reach = Reach::of(&grid.heights, grid.size, (2.0 * HALF_WIDTH_MAX_M / cell_m) as usize);
+    let mut range_m = [f64::INFINITY, f64::NEG_INFINITY];
+    for tile in 0..terrain.len() {
+        let (window, trusted) = (terrain.window(tile), surface.read(tile)?);
+        let mut heights = terrain.read(tile)?;
+        for (i, height) in heights.iter_mut().enumerate().filter(|(_, height)| !height.is_nan()) {
+            let [column, row] = (window.middle_of(i) / f64::from(grid.cell_px)).to_array();
+            if trusted[i].is_nan() && !reach.has([column as usize, row as usize]) {
+                *height = f32::NAN;
+                continue;
+            }
             range_m = [range_m[0].min(f64::from(*height)), range_m[1].max(f64::from(*height))];
         }
         terrain.write(tile, &heights)?;
@@ -153,6 +180,33 @@ mod tests {
         );
         assert!(errors.len() > 200_000 && share > 0.2, "{} px, {share} below objects", errors.len());
         assert!(rmse < 0.15 && most_95 < 0.2, "RMSE {rmse} m, 95 % within {most_95} m");
+    }
+
+    /// Of a square of trusted heights with a hole, the terrain keeps the hole, and nothing beyond the square.
+    #[test]
+    fn the_terrain_ends_where_no_height_can_be_trusted() {
+        let folder = tempfile::tempdir().unwrap();
+        let [mut surface, mut terrain] =
+            [(); 2].map(|()| Tiles::new(folder.path(), [SIDE_PX; 2], 128).unwrap());
+        let is_in = |at: DVec2, half_px: f64| (at - 250.0).abs().max_element() < half_px;
+        for tile in 0..surface.len() {
+            let window = surface.window(tile);
+            let trusted = |i: usize| match window.middle_of(i) {
+                at if is_in(at, 30.0) || !is_in(at, 150.0) => f32::NAN,
+                _ => 70.0,
+            };
+            surface.write(tile, &(0..window.pixels()).map(trusted).collect::<Vec<f32>>()).unwrap();
+            let slope = |i: usize| 70.0 + 0.01 * window.middle_of(i).x as f32;
+            terrain.write(tile, &(0..window.pixels()).map(slope).collect::<Vec<f32>>()).unwrap();
+        }
+        let range_m = leave_trusted(&mut terrain, &mut surface, GSD_M, MEMORY_BYTES).unwrap();
+        assert!((range_m[0] - 71.0).abs() < 0.02 && (range_m[1] - 74.0).abs() < 0.02, "{range_m:?}");
+        for tile in 0..terrain.len() {
+            let window = terrain.window(tile);
+            for (i, height) in terrain.read(tile).unwrap().iter().enumerate() {
+                assert_eq!(height.is_nan(), !is_in(window.middle_of(i), 150.0), "{}", window.middle_of(i));
+            }
+        }
     }
 
     #[test]

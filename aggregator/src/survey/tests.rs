@@ -22,7 +22,7 @@ use super::lattice::Lattice;
 use super::place::Place;
 use super::quadtree::Quadtree;
 use super::scene::Scene;
-use super::splats::splats_from_above;
+use super::splats::{Sieve, splats_from_above};
 use super::tiles::Tiles;
 use super::witnesses::Witnesses;
 use super::{FusedMesh, SurveyError, SurveyEvent, SurveyOrder, survey};
@@ -33,6 +33,8 @@ const SPLATS: usize = 81 * 61;
 /// Metres up per metre east.
 const SLOPE: f64 = 0.2;
 const MEMORY_BYTES: u64 = 1 << 30;
+/// Bounds that no splat lies outside of.
+const EVERYWHERE: [DVec3; 2] = [DVec3::splat(-1e6), DVec3::splat(1e6)];
 
 fn georeference() -> Georeference {
     Georeference::at(Geodetic { latitude_deg: 53.3, longitude_deg: 16.4, height_m: 70.0 }).unwrap()
@@ -234,7 +236,8 @@ fn the_orthophoto_has_no_seams_between_tiles() {
     let colors = |tile_px: u32| {
         let mut tiles = tiles_of(&heights, folder.path(), lattice.size_px(), tile_px);
         let (out, memory_bytes) = (folder.path(), MEMORY_BYTES);
-        let kept = splats_from_above(&scene, &lattice, &mut tiles, 0.1, out, memory_bytes).unwrap();
+        let sieve = Sieve::new(&scene, &lattice, &mut tiles, EVERYWHERE, 0.1);
+        let kept = splats_from_above(&scene, sieve, out, memory_bytes).unwrap();
         assert_eq!(kept.floats().iter().filter(|floats| **floats).count(), 1, "only the red splat floats");
         let mut colors = Tiles::new(folder.path(), lattice.size_px(), tile_px).unwrap();
         let painter = Painter { splats: kept.file(), frame: scene.frame, memory_bytes, threads: 2 };
@@ -247,6 +250,31 @@ fn the_orthophoto_has_no_seams_between_tiles() {
     let differs = |(a, b): (&[u8; 4], &[u8; 4])| (0..4).any(|k| a[k].abs_diff(b[k]) > 2) && a[3] == 255;
     let count = large.iter().zip(&small).filter(|(a, b)| differs((a, b))).count();
     assert!(count * 1000 < large.len(), "{count} of {} pixels differ", large.len());
+}
+
+/// They would make boxes of tiles reach far beyond what the tiles show.
+#[test]
+fn splats_far_outside_of_the_mesh_are_in_no_tile() {
+    let folder = tempfile::tempdir().unwrap();
+    model(folder.path());
+    let scene = Scene::open(folder.path()).unwrap();
+    let (lattice, heights) = heights(&scene, folder.path(), 512);
+    let left_out = |bounds: [DVec3; 2]| {
+        let mut tiles = tiles_of(&heights, folder.path(), lattice.size_px(), 512);
+        let sieve = Sieve::new(&scene, &lattice, &mut tiles, bounds, 0.1);
+        splats_from_above(&scene, sieve, folder.path(), MEMORY_BYTES).unwrap().floats().to_vec()
+    };
+    let (floating, narrow) = (left_out(EVERYWHERE), left_out([DVec3::splat(-1.0), DVec3::splat(1.0)]));
+    let mut is_outside = Vec::new();
+    let frame = scene.frame;
+    let far = |mean: &[f32; 3]| {
+        let at = frame.world_from_local(mean.map(f64::from).into()).abs().max_element();
+        at > 1.0 + 0.1 * 12f64.sqrt()
+    };
+    scene.splats(1000, |part| is_outside.extend(part.means.iter().map(far))).unwrap();
+    assert!((1..is_outside.len()).contains(&is_outside.iter().filter(|far| **far).count()));
+    let wanted: Vec<bool> = floating.iter().zip(&is_outside).map(|(floats, far)| *floats || *far).collect();
+    assert!(narrow == wanted);
 }
 
 /// The values of a map, pixel by pixel.

@@ -17,7 +17,7 @@ use super::lattice::Lattice;
 use super::tiles::Tiles;
 use plane::Plane;
 use polygons::Polygon;
-pub(super) use polygons::read_polygons;
+pub(super) use polygons::{check_near, read_polygons};
 
 /// The volume of a polygon.
 #[derive(Clone, Debug, PartialEq, Serialize)]
@@ -38,9 +38,19 @@ pub struct Volume {
     pub border_rms_m: f64,
 }
 
-/// The content of `volumes.json`.
-pub(super) fn to_json(volumes: &[Volume]) -> String {
-    serde_json::to_string_pretty(volumes).expect("numbers and texts") + "\n"
+/// What can be measured of polygons.
+#[derive(Clone, Debug, Default)]
+pub(super) struct Volumes {
+    volumes: Vec<Volume>,
+    /// A line for each polygon that cannot be measured.
+    pub(super) left_out: Vec<String>,
+}
+
+impl Volumes {
+    /// The content of `volumes.json`.
+    pub(super) fn to_json(&self) -> String {
+        serde_json::to_string_pretty(&self.volumes).expect("numbers and texts") + "\n"
+    }
 }
 
 /// The volume of each polygon.
@@ -48,20 +58,30 @@ pub(super) fn find_volumes(
     polygons: &[Polygon],
     lattice: &Lattice,
     heights: &mut Tiles<f32>,
-) -> Result<Vec<Volume>, SurveyError> {
-    polygons.iter().map(|polygon| find_volume(polygon, lattice, heights)).collect()
+) -> Result<Volumes, SurveyError> {
+    let mut found = Volumes::default();
+    for polygon in polygons {
+        match find_volume(polygon, lattice, heights)? {
+            Some(volume) => found.volumes.push(volume),
+            None => found.left_out.push(format!(
+                "{}: its border shows too little of the surface to fit a plane to it; draw it on ground that dsm.tif covers",
+                polygon.name
+            )),
+        }
+    }
+    Ok(found)
 }
 
+/// The volume of a polygon; `None` if its border shows too little of the surface.
 fn find_volume(
     polygon: &Polygon,
     lattice: &Lattice,
     heights: &mut Tiles<f32>,
-) -> Result<Volume, SurveyError> {
+) -> Result<Option<Volume>, SurveyError> {
     let rings: Vec<Vec<DVec2>> =
         polygon.rings.iter().map(|ring| ring.iter().map(|at| lattice.px_from_map(*at)).collect()).collect();
     let border = border_heights(&rings[0], lattice.size_px(), heights)?;
-    let no_border = || SurveyError::NoBorder { name: polygon.name.clone() };
-    let plane = Plane::fitted(&border).ok_or_else(no_border)?;
+    let Some(plane) = Plane::fitted(&border) else { return Ok(None) };
     let border_rms_m = plane.rms(&border);
 
     let (mut count, mut cut, mut fill, mut sum) = (0u64, 0.0, 0.0, 0.0);
@@ -74,7 +94,7 @@ fn find_volume(
     })?;
     let pixel_m2 = lattice.pixel_area_m2(polygons::middle(&rings[0]))?;
     let area_px = polygons::area(&rings);
-    Ok(Volume {
+    Ok(Some(Volume {
         name: polygon.name.clone(),
         area_m2: area_px * pixel_m2,
         covered_share: (count as f64 / area_px).min(1.0),
@@ -82,7 +102,7 @@ fn find_volume(
         fill_m3: fill * pixel_m2,
         mean_height_m: if count > 0 { sum / count as f64 } else { plane.height(polygons::middle(&rings[0])) },
         border_rms_m,
-    })
+    }))
 }
 
 /// The heights along a ring, a pixel apart: position, px, and height, metres. Without those that are missing.
@@ -186,7 +206,7 @@ mod tests {
     fn a_pyramid_on_a_slope_has_the_volume_of_its_formula() {
         let (lattice, mut heights, middle) = heap();
         let polygon = square(&lattice, middle, 120.0);
-        let volume = &find_volumes(&[polygon], &lattice, &mut heights).unwrap()[0];
+        let volume = &find_volumes(&[polygon], &lattice, &mut heights).unwrap().volumes[0];
         let scale = lattice.pixel_area_m2(middle).unwrap() / 0.01;
         // A third of the base times the height.
         let wanted = 400.0 * 4.0 / 3.0 * scale;
@@ -203,15 +223,16 @@ mod tests {
         let (lattice, mut heights, middle) = heap();
         let mut polygon = square(&lattice, middle, 120.0);
         polygon.rings.extend(square(&lattice, middle, 100.0).rings);
-        let volume = &find_volumes(&[polygon], &lattice, &mut heights).unwrap()[0];
+        let volume = &find_volumes(&[polygon], &lattice, &mut heights).unwrap().volumes[0];
         assert!(volume.cut_m3 < 0.01 && volume.covered_share > 0.99, "{volume:?}");
     }
 
     #[test]
-    fn polygons_beside_the_map_are_refused_with_their_name() {
+    fn a_polygon_beside_the_map_is_left_out_and_the_others_are_measured() {
         let (lattice, mut heights, middle) = heap();
-        let polygon = square(&lattice, middle + 5000.0, 120.0);
-        let error = find_volumes(&[polygon], &lattice, &mut heights).unwrap_err().to_string();
-        assert!(error.contains("heap: its border"), "{error}");
+        let polygons = [square(&lattice, middle + 5000.0, 120.0), square(&lattice, middle, 120.0)];
+        let found = find_volumes(&polygons, &lattice, &mut heights).unwrap();
+        assert_eq!(found.volumes.len(), 1);
+        assert!(found.left_out[0].starts_with("heap: its border"), "{:?}", found.left_out);
     }
 }

@@ -47,19 +47,29 @@ pub struct Mark {
 
 /// A line of the list.
 struct Line {
+    /// Its number, from 1.
+    number: usize,
     at: [f64; 3],
     mark: Mark,
     name: Option<String>,
 }
 
-/// Reads a `gcp_list.txt`. Marks with one name, or without a name but with the same east and north, are of one point.
+/// Reads a `gcp_list.txt`. Marks with one name, or without a name but with the same east and north, are of one point. A name
+/// with two places is refused: nobody can tell which one is meant.
 pub fn read_gcp_list(path: &Path) -> Result<Vec<ControlPoint>, GeoError> {
     let table = Table::read(path)?;
     let mut points: Vec<(Option<String>, Vec<Line>)> = Vec::new();
     for (at, text) in &table.lines {
-        let reason = || format!("line {at}: write `east north height pixel_x pixel_y photograph name`");
-        let line = parse(text).ok_or_else(|| GeoError::Refused { path: path.into(), reason: reason() })?;
+        let refused = |reason: String| GeoError::Refused { path: path.into(), reason };
+        let line = parse(*at, text).map_err(|reason| refused(format!("line {at}: {reason}")))?;
         match points.iter_mut().find(|(name, lines)| *name == line.name && is_same(&lines[0], &line)) {
+            Some((Some(name), lines)) if !has_same_place(&lines[0], &line) => {
+                return Err(refused(format!(
+                    "line {at}: point {name} has another place than in line {}; give each point one place, and a name of \
+                     its own",
+                    lines[0].number
+                )));
+            }
             Some((_, lines)) => lines.push(line),
             None => points.push((line.name.clone(), vec![line])),
         }
@@ -80,15 +90,28 @@ pub fn read_gcp_list(path: &Path) -> Result<Vec<ControlPoint>, GeoError> {
 
 /// Whether two lines with equal names, or without names, are of one point.
 fn is_same(a: &Line, b: &Line) -> bool {
-    a.name.is_some() || (a.at[0] - b.at[0]).abs() <= SAME && (a.at[1] - b.at[1]).abs() <= SAME
+    a.name.is_some() || has_same_place(a, b)
 }
 
-fn parse(text: &str) -> Option<Line> {
+fn has_same_place(a: &Line, b: &Line) -> bool {
+    (a.at[0] - b.at[0]).abs() <= SAME && (a.at[1] - b.at[1]).abs() <= SAME
+}
+
+/// Reads a line. An error is what is wrong with it.
+fn parse(number_of_line: usize, text: &str) -> Result<Line, &'static str> {
     let words: Vec<&str> = text.split_whitespace().collect();
-    let [east, north, height, x, y, photograph, rest @ ..] = &words[..] else { return None };
-    let at = [number(east)?, number(north)?, number(height)?];
-    let mark = Mark { photograph: (*photograph).to_owned(), at_px: DVec2::new(number(x)?, number(y)?) };
-    Some(Line { at, mark, name: rest.first().map(|name| (*name).to_owned()) })
+    let numbers = words.get(..5).and_then(|words| words.iter().map(|word| number(word)).collect());
+    let (Some([east, north, height, x, y]), [photograph, rest @ ..]) =
+        (numbers.and_then(|numbers: Vec<f64>| numbers.try_into().ok()), words.get(5..).unwrap_or_default())
+    else {
+        return Err("write `east north height pixel_x pixel_y photograph name`");
+    };
+    if x < 0.0 || y < 0.0 {
+        return Err("a pixel is negative; pixels count from the picture's top-left corner, x first");
+    }
+    let mark = Mark { photograph: (*photograph).to_owned(), at_px: DVec2::new(x, y) };
+    let name = rest.first().map(|name| (*name).to_owned());
+    Ok(Line { number: number_of_line, at: [east, north, height], mark, name })
 }
 
 #[cfg(test)]
@@ -120,6 +143,16 @@ mod tests {
     }
 
     #[test]
+    fn a_name_has_one_place() {
+        let list = |second: &str| format!("EPSG:2180\n332300 573431 70 5 6 a.jpg P\n{second} 5 6 b.jpg P\n");
+        assert_eq!(read(&list("332300 573431 71")).unwrap()[0].marks.len(), 2, "heights may differ");
+        for other in ["332330 573431 70", "332300 573434 70"] {
+            let error = read(&list(other)).unwrap_err().to_string();
+            assert!(error.contains("line 3: point P has another place than in line 2"), "{error}");
+        }
+    }
+
+    #[test]
     fn check_points_are_told_by_their_names() {
         let is_check = |name: &str| {
             read(&format!("EPSG:2180\n332300 573431 70 5 6 a.jpg {name}\n")).unwrap()[0].is_check()
@@ -140,6 +173,8 @@ mod tests {
             let error = read(text).unwrap_err().to_string();
             assert!(error.contains("gcp_list.txt: line 2: write"), "{error}");
         }
+        let error = read("EPSG:2180\n332300 573431 3 -5 5 a.jpg\n").unwrap_err().to_string();
+        assert!(error.contains("line 2: a pixel is negative"), "{error}");
         assert!(read("here\n").unwrap_err().to_string().contains("coordinate system"));
     }
 }

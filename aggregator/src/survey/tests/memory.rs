@@ -4,12 +4,14 @@
 use cosurf_engine::budget::PROCESS_BYTES;
 use cosurf_scene::Mesh;
 
-use super::{FusedMesh, MEMORY_BYTES, SLOPE, SurveyOrder, heights, model, order, tiles_of, whole};
+use super::{
+    EVERYWHERE, FusedMesh, MEMORY_BYTES, SLOPE, SurveyOrder, heights, model, order, tiles_of, whole,
+};
 use crate::mesh::MeshError;
 use crate::survey::colors::Painter;
 use crate::survey::lattice::TILE_PX;
 use crate::survey::scene::Scene;
-use crate::survey::splats::splats_from_above;
+use crate::survey::splats::{Sieve, splats_from_above};
 use crate::survey::tiles::Tiles;
 use crate::survey::{LEAST_BYTES, SurveyError, survey, writing_bytes};
 
@@ -105,7 +107,8 @@ fn colours_need_not_have_all_splats_in_the_memory() {
     let (lattice, heights) = heights(&scene, folder.path(), 512);
     let paint = |memory_bytes: u64| {
         let mut tiles = tiles_of(&heights, folder.path(), lattice.size_px(), 512);
-        let kept = splats_from_above(&scene, &lattice, &mut tiles, 0.1, folder.path(), memory_bytes).unwrap();
+        let sieve = Sieve::new(&scene, &lattice, &mut tiles, EVERYWHERE, 0.1);
+        let kept = splats_from_above(&scene, sieve, folder.path(), memory_bytes).unwrap();
         let mut colors = Tiles::new(folder.path(), lattice.size_px(), 512).unwrap();
         let painter = Painter { splats: kept.file(), frame: scene.frame, memory_bytes, threads: 2 };
         painter.paint(&lattice, &mut tiles, &mut colors, |_, _| ())?;

@@ -2,11 +2,13 @@
 //!
 //! What it knows nothing about: heights.
 
+use std::cmp::Ordering;
 use std::fs;
 use std::path::Path;
 
-use cosurf_scene::SceneError;
+use cosurf_geo::GeoError;
 use cosurf_scene::bytes::format_bytes;
+use cosurf_scene::{Camera, SceneError};
 use geojson::{Feature, GeoJson, GeometryValue, Position};
 use glam::DVec2;
 
@@ -15,6 +17,10 @@ use crate::survey::place::Place;
 
 /// Largest file, bytes.
 const FILE_BYTES_MAX: u64 = 64 << 20;
+/// Most positions of a ring.
+const POSITIONS_MAX: usize = 10_000;
+/// A polygon farther than this from all cameras is somewhere else, metres.
+const ELSEWHERE_M: f64 = 5_000.0;
 
 /// A polygon on the map.
 #[derive(Clone, Debug, PartialEq)]
@@ -51,6 +57,29 @@ pub(in crate::survey) fn read_polygons(path: &Path, place: &Place) -> Result<Vec
     }
 }
 
+/// Refuses polygons that lie far from all cameras, before anything is computed.
+pub(in crate::survey) fn check_near(
+    polygons: &[Polygon],
+    path: &Path,
+    cameras: &[Camera],
+    place: &Place,
+) -> Result<(), SurveyError> {
+    let eyes = cameras.iter().map(|camera| place.map_from_enu(camera.cam_from_world.center()));
+    let eyes: Vec<DVec2> = eyes.map(|at| Ok(at?.truncate())).collect::<Result<_, SurveyError>>()?;
+    for Polygon { name, rings } in polygons {
+        let corners = rings[0].iter().flat_map(|corner| eyes.iter().map(|eye| eye.distance(*corner)));
+        let nearest_m = corners.fold(f64::INFINITY, f64::min);
+        if !eyes.is_empty() && nearest_m > ELSEWHERE_M {
+            let reason = format!(
+                "{name} lies {:.0} km from all photographs; a position in GeoJSON is longitude, then latitude",
+                nearest_m / 1000.0
+            );
+            return Err(SceneError::malformed(path, reason).into());
+        }
+    }
+    Ok(())
+}
+
 /// The polygons of a feature; the reason if there is something wrong.
 fn of_feature(feature: &Feature, number: usize, place: &Place) -> Result<Vec<Polygon>, String> {
     let name = match feature.property("name").and_then(|name| name.as_str()) {
@@ -74,17 +103,47 @@ fn of_feature(feature: &Feature, number: usize, place: &Place) -> Result<Vec<Pol
 }
 
 fn of_ring(ring: &[Position], place: &Place) -> Result<Vec<DVec2>, String> {
-    let corner = |position: &Position| match position.as_slice() {
-        [longitude, latitude, ..] => {
-            place.map_from_degrees(*longitude, *latitude).map_err(|error| error.to_string())
-        }
+    let corner = |position: &Position| {
+        match position.as_slice() {
+        [longitude, latitude, ..] => place.map_from_degrees(*longitude, *latitude).map_err(|error| match error {
+            GeoError::NoPlace { .. } => format!(
+                "[{longitude}, {latitude}] is no place on the earth; a position in GeoJSON is longitude, then latitude, in degrees"
+            ),
+            error => error.to_string(),
+        }),
         _ => Err("a position needs longitude and latitude".to_string()),
+    }
     };
     let corners: Vec<DVec2> = ring.iter().map(corner).collect::<Result<_, _>>()?;
     if corners.len() < 4 || corners.first() != corners.last() {
         return Err("a ring needs four positions, of which the last is the first again".into());
     }
-    Ok(corners)
+    if corners.len() > POSITIONS_MAX {
+        return Err(format!("a ring has more than {POSITIONS_MAX} positions; simplify it"));
+    }
+    match crossing(&corners) {
+        Some([a, b]) => Err(format!(
+            "a ring crosses itself, after its positions {} and {}; draw it around the ground once",
+            a + 1,
+            b + 1
+        )),
+        None => Ok(corners),
+    }
+}
+
+/// Indices of two sides of a ring that cross each other.
+fn crossing(ring: &[DVec2]) -> Option<[usize; 2]> {
+    let left = |a: DVec2, b: DVec2, of: DVec2| (b - a).perp_dot(of - a).total_cmp(&0.0);
+    let are_apart = |a: DVec2, b: DVec2, [c, d]: [DVec2; 2]| {
+        let sides = [left(a, b, c), left(a, b, d)];
+        !matches!(sides, [Ordering::Less, Ordering::Greater] | [Ordering::Greater, Ordering::Less])
+    };
+    let cross = |i: usize, j: usize| {
+        let [a, b, c, d] = [ring[i], ring[i + 1], ring[j], ring[j + 1]];
+        !are_apart(a, b, [c, d]) && !are_apart(c, d, [a, b])
+    };
+    let sides = ring.len() - 1;
+    (0..sides).find_map(|i| (i + 1..sides).find(|j| cross(i, *j)).map(|j| [i, j]))
 }
 
 /// Area inside the outer ring and outside of the holes, in the units of the rings.
@@ -127,6 +186,9 @@ pub(super) fn crossings(rings: &[Vec<DVec2>], y: f64) -> Vec<f64> {
 #[cfg(test)]
 mod tests {
     #![allow(clippy::unwrap_used)]
+    use cosurf_scene::Pose;
+    use glam::DVec3;
+
     use super::super::super::place::tests::place;
     use super::*;
 
@@ -163,11 +225,36 @@ mod tests {
             (feature(r#"{"type": "Point", "coordinates": [16.4, 53.3]}"#), "A is not a polygon"),
             (feature(r#"{"type": "Polygon", "coordinates": []}"#), "A: has no ring"),
             (polygon("[[16.4, 53.3], [16.5, 53.3], [16.4, 53.3]]"), "A: a ring needs four"),
-            (polygon("[[16.4, 153.3], [16.5, 53.3], [16.5, 53.4], [16.4, 153.3]]"), "no place on the earth"),
+            (
+                polygon("[[16.4, 153.3], [16.5, 53.3], [16.5, 53.4], [16.4, 153.3]]"),
+                "longitude, then latitude",
+            ),
+            (
+                polygon("[[16.4, 53.3], [16.401, 53.301], [16.401, 53.3], [16.4, 53.301], [16.4, 53.3]]"),
+                "A: a ring crosses itself, after its positions 1 and 3",
+            ),
         ] {
             let error = read(&text).unwrap_err();
             assert!(error.contains("heaps.geojson: ") && error.contains(told), "{error}");
         }
+    }
+
+    #[test]
+    fn polygons_far_from_all_cameras_are_refused_before_the_work() {
+        let polygons = read(&feature(&format!(r#"{{"type": "Polygon", "coordinates": [{RING}]}}"#))).unwrap();
+        let camera = |east_m: f64| Camera {
+            cam_from_world: Pose::look_at(DVec3::new(east_m, 0.0, 100.0), DVec3::ZERO, DVec3::Y),
+            focal_px: DVec2::splat(100.0),
+            center_px: DVec2::splat(50.0),
+            size_px: [100, 100],
+        };
+        let check = |east_m: f64| {
+            let cameras = [camera(east_m), camera(60_000.0)];
+            check_near(&polygons, Path::new("heaps.geojson"), &cameras, &place())
+        };
+        check(400.0).unwrap();
+        let error = check(50_000.0).unwrap_err().to_string();
+        assert!(error.contains("heaps.geojson: A lies ") && error.contains("longitude, then"), "{error}");
     }
 
     #[test]
