@@ -96,7 +96,9 @@ fn georeference(args: &SurveyArgs) -> Result<Georeference> {
     if let Some(epsg) = args.epsg {
         georeference.epsg = epsg;
     }
-    georeference.projection()?;
+    if let Some(doubt) = georeference.projection()?.doubt(&georeference.origin)? {
+        eprintln!("{doubt}");
+    }
     Ok(georeference)
 }
 

@@ -55,6 +55,14 @@ pub enum SurveyError {
         /// A side of a pixel that suffices, metres.
         enough_m: f64,
     },
+    /// A pixel would cover the whole surface.
+    #[error("pixels of {gsd_m} m are larger than the surface, {:.1} m × {:.1} m; use a smaller --gsd", sides_m[0], sides_m[1])]
+    TooCoarse {
+        /// Side of a pixel, metres.
+        gsd_m: f64,
+        /// Width and height of the surface, metres.
+        sides_m: [f64; 2],
+    },
     /// There would be too many contours.
     #[error("contours every {step_m} m are too many for heights from {:.1} m to {:.1} m; use --contours {enough_m} or more", range_m[0], range_m[1])]
     TooManyContours {

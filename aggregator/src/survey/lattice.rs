@@ -71,6 +71,10 @@ impl Lattice {
         if !low.cmple(high).all() {
             return Err(SurveyError::NothingSeen);
         }
+        let sides = high - low;
+        if gsd_m > sides.max_element() {
+            return Err(SurveyError::TooCoarse { gsd_m, sides_m: sides.to_array() });
+        }
         let cell = |metres: f64| (metres / gsd_m).floor();
         let [west, east] = [low.x, high.x].map(cell);
         // Rows go south, northings go north.
@@ -232,6 +236,8 @@ pub(super) mod tests {
         let error = Lattice::around(place(), &wide, 0.01).unwrap_err().to_string();
         assert!(error.contains("use --gsd 0.18 or more"), "{error}");
         assert!(Lattice::around(place(), &wide, 0.18).is_ok());
+        let error = Lattice::around(place(), &wide, 10_000.0).unwrap_err().to_string();
+        assert!(error.contains("pixels of 10000 m are larger than the surface"), "{error}");
         let none = Lattice::around(place(), &extent(&[]), 0.1).unwrap_err();
         assert!(matches!(none, SurveyError::NothingSeen), "{none}");
     }

@@ -6,9 +6,16 @@ use proj4rs::transform::transform;
 
 use crate::ellipsoid::Geodetic;
 use crate::error::GeoError;
+use crate::site::SiteFrame;
 
 /// The system of GPS: longitude and latitude, WGS 84.
 const WGS_84: u16 = 4326;
+
+/// A system that changes lengths by a larger share than this is hardly meant for the place. UTM changes them by 0.001 at the
+/// edge of a zone.
+const SCALE_OFF_MAX: f64 = 0.0015;
+/// The EPSG numbers of the zones of UTM on WGS 84: those of the north, then those of the south.
+const UTM: [std::ops::RangeInclusive<u32>; 2] = [32_601..=32_660, 32_701..=32_760];
 
 /// A coordinate system of maps: easting, northing, and height above the ellipsoid, metres.
 pub struct Projection {
@@ -45,6 +52,34 @@ impl Projection {
     /// The number of the system.
     pub fn epsg(&self) -> u32 {
         self.epsg
+    }
+
+    /// A line that tells why the system is hardly meant for a place: it is a zone of the other hemisphere, or changes lengths
+    /// there by more than 0.15 %. `None` if it fits.
+    pub fn doubt(&self, place: &Geodetic) -> Result<Option<String>, GeoError> {
+        let best = Self::utm_of(place);
+        let of_south = usize::from(place.latitude_deg < 0.0);
+        let off = self.scale_at(place)? - 1.0;
+        let why = if UTM[1 - of_south].contains(&self.epsg) {
+            "is a zone of the other hemisphere".to_owned()
+        } else if off.abs() > SCALE_OFF_MAX {
+            let than = if off > 0.0 { "longer" } else { "shorter" };
+            format!("makes lengths at this place {:.1} % {than}", 100.0 * off.abs())
+        } else {
+            return Ok(None);
+        };
+        Ok(Some(format!("EPSG:{} {why}; its zone of UTM is EPSG:{}", self.epsg, best.epsg)))
+    }
+
+    /// Length on the map of a metre on the ground, the mean over a square of 100 m about a place.
+    fn scale_at(&self, place: &Geodetic) -> Result<f64, GeoError> {
+        let site = SiteFrame::new(*place)?;
+        let at = |east_m: f64, north_m: f64| {
+            let at = self.project(&site.geodetic_from_enu(DVec3::new(east_m, north_m, 0.0)))?;
+            Ok::<_, GeoError>(at.truncate())
+        };
+        let [east, north] = [at(50.0, 0.0)? - at(-50.0, 0.0)?, at(0.0, 50.0)? - at(0.0, -50.0)?];
+        Ok((east.perp_dot(north).abs() / 10_000.0).sqrt())
     }
 
     /// The definition of the system as well-known text (WKT 1), for files that want it.
@@ -112,6 +147,28 @@ mod tests {
             assert!((back.latitude_deg - latitude_deg).abs() < 1e-9, "EPSG:{epsg}: {back:?}");
             assert!((back.longitude_deg - longitude_deg).abs() < 1e-9, "EPSG:{epsg}: {back:?}");
         }
+    }
+
+    #[test]
+    fn systems_of_other_places_are_doubted() {
+        let doubt = |epsg: u32, latitude_deg: f64, longitude_deg: f64| {
+            let place = Geodetic { latitude_deg, longitude_deg, height_m: 40.0 };
+            Projection::new(epsg).unwrap().doubt(&place).unwrap()
+        };
+        let berlin = |epsg: u32| doubt(epsg, 52.5, 13.4);
+        assert_eq!([32_633, 25_833, 2_180].map(berlin), [None, None, None]);
+        // The neighbouring zone is allowed where it is not much worse: sites may lie in two.
+        assert_eq!(doubt(32_632, 52.5, 12.1), None);
+        for (epsg, told) in [
+            (32_733, "the other hemisphere"),
+            (27_700, "% longer"),
+            (3_857, "% longer"),
+            (32_634, "its zone of UTM is EPSG:32633"),
+        ] {
+            let doubt = berlin(epsg).unwrap();
+            assert!(doubt.contains(told), "{doubt}");
+        }
+        assert!(doubt(32_633, -20.0, 15.0).is_some_and(|doubt| doubt.contains("EPSG:32733")));
     }
 
     #[test]
