@@ -23,8 +23,9 @@ const LIMITS_MIB: [u64; 4] = [64, 100, 300, 1000];
 const LARGE_PX: u32 = 5472;
 /// Number of points of the large cloud.
 const POINTS: usize = 2_000_000;
-/// Number of splats of the large model.
+/// Number of splats of the large model, and of the one that is surveyed.
 const SPLATS: usize = 1_400_000;
+const SURVEYED: usize = 2_000_000;
 /// Training steps. The largest buffers are there from the first step on.
 const STEPS: &str = "30";
 
@@ -137,7 +138,7 @@ fn cases(arguments: &Arguments, folder: &Path) -> Result<Vec<Case>> {
     let (jpegs, pngs) =
         (enlarged(small, &folder.join("jpeg"), "jpg")?, enlarged(small, &folder.join("png"), "png")?);
     let points = with_points(data, &folder.join("points"))?;
-    let model = large_model(data, &folder.join("large.ply"))?;
+    let model = large_model(data, &folder.join("large.ply"), SPLATS)?;
     let merged = text(&folder.join("merged"));
     let mut merge = vec!["merge".into(), "--out".into(), merged, "--compute".into(), "cpu".into()];
     merge.extend(agents.iter().map(|agent| text(agent)));
@@ -168,7 +169,8 @@ fn cases(arguments: &Arguments, folder: &Path) -> Result<Vec<Case>> {
         ..aggregator("mission, the largest of its processes", mission.map(String::from).to_vec())
     };
     let convert = ["convert".into(), text(&model), out.clone() + ".spz"];
-    let surveyed = with_cameras(data, &model, &folder.join("surveyed"))?;
+    let largest = large_model(data, &folder.join("largest.ply"), SURVEYED)?;
+    let surveyed = with_cameras(data, &largest, &folder.join("surveyed"))?;
     let survey = ["survey".into(), text(&surveyed), "--out".into(), text(&folder.join("survey"))];
     let survey = survey.into_iter().chain(["--origin".into(), "53.3,16.4,0".into()]).collect();
     Ok(vec![
@@ -182,7 +184,7 @@ fn cases(arguments: &Arguments, folder: &Path) -> Result<Vec<Case>> {
         view("render, 1.4 million splats", "render", "--cameras"),
         view("eval, 1.4 million splats", "eval", ""),
         aggregator("convert, 1.4 million splats", convert.to_vec()),
-        aggregator("survey, 1.4 million splats", survey),
+        aggregator("survey, 2 million splats", survey),
         mission,
     ])
 }
@@ -223,12 +225,12 @@ fn with_points(data: &Path, folder: &Path) -> Result<PathBuf> {
     Ok(folder.to_owned())
 }
 
-/// A model of [`SPLATS`] splats at the sparse points of a dataset.
-fn large_model(data: &Path, path: &Path) -> Result<PathBuf> {
+/// A model of so many splats at the sparse points of a dataset.
+fn large_model(data: &Path, path: &Path, splats: usize) -> Result<PathBuf> {
     let points = Dataset::open(data)?.points;
     ensure!(!points.is_empty(), "{}: has no sparse points", data.display());
-    let mut model = Splats::with_capacity(SPLATS, 3);
-    for i in 0..SPLATS {
+    let mut model = Splats::with_capacity(splats, 3);
+    for i in 0..splats {
         let at = points[i % points.len()].position + DVec3::splat(1e-3 * (i / points.len()) as f64);
         model.push(at.as_vec3().to_array(), [1.0, 0.0, 0.0, 0.0], [-3.0; 3], 1.0, &[0.1; 48]);
     }
