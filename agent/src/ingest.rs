@@ -16,6 +16,7 @@ mod error;
 mod given;
 mod lens;
 mod masks;
+mod names;
 mod pairs;
 mod photographs;
 mod placing;

@@ -29,7 +29,13 @@ impl Colmap {
         let help = its.help("help")?;
         // The first versions with all commands and options that are used here, 3.6 of 2020, begin so too.
         let is_it = help.trim_start().starts_with("COLMAP") && help.contains("image_undistorter");
-        if is_it { Ok(its) } else { Err(IngestError::NotColmap { program: its.program }) }
+        if is_it { Ok(its) } else { Err(its.not_colmap(&help)) }
+    }
+
+    fn not_colmap(&self, printed: &str) -> IngestError {
+        let first = printed.lines().map(str::trim).find(|line| !line.is_empty());
+        let said = first.map_or_else(|| "it prints nothing".to_owned(), |line| format!("it prints: {line}"));
+        IngestError::NotColmap { program: self.program.clone(), said }
     }
 
     /// The command with those of these options that its version has. Options are tried with each name in turn: versions
@@ -40,6 +46,9 @@ impl Colmap {
         options: &[(&[&str], OsString)],
     ) -> Result<Vec<OsString>, IngestError> {
         let help = self.help(name)?;
+        if !help.contains("--") {
+            return Err(self.not_colmap(&help));
+        }
         let has = |option: &&&str| help.split_whitespace().any(|word| word == format!("--{option}"));
         let mut command = vec![OsString::from(name)];
         for (names, value) in options {

@@ -1,10 +1,9 @@
 //! Control points: where the photographs show them.
 
-use std::collections::HashMap;
-
 use cosurf_geo::{ControlPoint, Mark, Sighting, SiteFrame};
 use glam::{DMat3, DVec2, DVec3};
 
+use super::names::{Meant, Names};
 use super::reconstruction::Reconstruction;
 
 /// Lines of sight closer than this to each other leave the distance open, degrees.
@@ -42,12 +41,18 @@ pub(super) struct SeenPoints {
 
 /// Finds where the reconstruction has the points.
 pub(super) fn seen(points: &[ControlPoint], its: &Reconstruction, site: &SiteFrame) -> SeenPoints {
-    let by_name: HashMap<String, usize> =
-        its.posed.iter().enumerate().map(|(i, posed)| (file_name(&posed.name), i)).collect();
+    let names = Names::of(its.posed.iter().map(|posed| posed.name.as_str()));
     let mut all = Vec::new();
     let mut seen = SeenPoints::default();
     for point in points {
-        let in_dataset = |mark: &Mark| Some((*by_name.get(&file_name(&mark.photograph))?, mark.at_px));
+        let of_several = |mark: &&Mark| names.find(&mark.photograph) == Meant::Several;
+        seen.left_out.extend(point.marks.iter().filter(of_several).map(|mark| {
+            let reason =
+                "is of one of several photographs of this name; write their folders too, as in 100MEDIA/";
+            let photograph = &mark.photograph;
+            (format!("the mark of {} in {photograph}", point.name), format!("{reason}{photograph}"))
+        }));
+        let in_dataset = |mark: &Mark| Some((names.find(&mark.photograph).one()?, mark.at_px));
         let marks: Vec<(usize, DVec2)> = point.marks.iter().filter_map(in_dataset).collect();
         match locate(&marks, its) {
             Ok(Located { model, marks, wrong }) => {
@@ -146,11 +151,6 @@ fn locate(marks: &[(usize, DVec2)], its: &Reconstruction) -> Result<Located, Uns
     let outside = outside.into_iter().map(|i| (i, "lies outside the picture; it does not count".to_owned()));
     let wrong = outside.chain(wrong.into_iter().map(elsewhere)).collect();
     Ok(Located { model, marks: right.into_iter().map(|i| marks[i]).collect(), wrong })
-}
-
-/// Lists name files without folders, and often in other letters.
-pub(super) fn file_name(name: &str) -> String {
-    name.rsplit(['/', '\\']).next().unwrap_or(name).to_lowercase()
 }
 
 /// A line of sight.

@@ -40,11 +40,13 @@ pub enum IngestError {
         /// The error of the system.
         cause: io::Error,
     },
-    /// A program is not COLMAP.
-    #[error("{}: is not COLMAP 3.6 or newer; name another program with --colmap", program.display())]
+    /// A program is not COLMAP, or does not run.
+    #[error("{}: is not COLMAP 3.6 or newer, or does not run ({said}); name another program with --colmap", program.display())]
     NotColmap {
         /// The program.
         program: PathBuf,
+        /// The first line that it prints, or how it ended.
+        said: String,
     },
     /// A version of COLMAP has other options.
     #[error(

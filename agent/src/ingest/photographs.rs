@@ -1,6 +1,7 @@
 //! The photographs of a folder, and what their EXIF and the lists beside them tell.
 
-use std::collections::{BTreeMap, HashMap};
+use std::collections::hash_map::Entry;
+use std::collections::{BTreeMap, HashMap, HashSet};
 use std::fs;
 use std::path::{Path, PathBuf};
 use std::time::UNIX_EPOCH;
@@ -54,19 +55,46 @@ impl Photographs {
         collect(&folder, "", DEPTH_MAX, &mut names)?;
         names.sort_unstable();
         let list = |name| [&folder, root].map(|at| at.join(name)).into_iter().find(|path| path.is_file());
-        let places: HashMap<String, Gps> = match list("geo.txt") {
+        let mut places: HashMap<String, Gps> = match list("geo.txt") {
             Some(path) => read_geo_txt(&path)?.into_iter().map(|place| (place.name, place.gps)).collect(),
             None => HashMap::new(),
         };
+        let of_several: Vec<String> =
+            repeated(&names).into_iter().filter(|name| places.remove(name).is_some()).collect();
         let control = list("gcp_list.txt").map(|path| read_gcp_list(&path)).transpose()?.unwrap_or_default();
         let mut all = Self { folder, usable: Vec::new(), left_out: Vec::new(), control };
+        let reason =
+            "is the name of several photographs, so its place does not count; write their folders too";
+        all.left_out.extend(of_several.into_iter().map(|name| (format!("{name} of geo.txt"), reason.into())));
         for name in names {
             match read(&all.folder, &name, &places, root) {
                 Ok(photograph) => all.usable.push(photograph),
                 Err(reason) => all.left_out.push((name, reason)),
             }
         }
+        all.leave_out_copies()?;
         all.enough()
+    }
+
+    /// Of files with the same content, leaves the first. They would count as views that agree.
+    fn leave_out_copies(&mut self) -> Result<(), IngestError> {
+        let mut lengths: HashMap<u64, usize> = HashMap::new();
+        self.usable.iter().for_each(|its| *lengths.entry(its.state[0]).or_default() += 1);
+        let mut first: HashMap<blake3::Hash, String> = HashMap::new();
+        let mut copies = Vec::new();
+        for its in self.usable.iter().filter(|its| lengths[&its.state[0]] > 1) {
+            let path = self.folder.join(&its.name);
+            let mut hasher = blake3::Hasher::new();
+            let read = fs::File::open(&path).and_then(|file| hasher.update_reader(file).map(drop));
+            read.map_err(|cause| SceneError::io(&path, cause))?;
+            match first.entry(hasher.finalize()) {
+                Entry::Occupied(of) => copies.push((its.name.clone(), format!("is a copy of {}", of.get()))),
+                Entry::Vacant(place) => drop(place.insert(its.name.clone())),
+            }
+        }
+        self.usable.retain(|its| copies.binary_search_by(|(name, _)| name.cmp(&its.name)).is_err());
+        self.left_out.extend(copies);
+        Ok(())
     }
 
     /// An error if there are too few.
@@ -94,6 +122,13 @@ impl Photographs {
         }
         lenses.into_values().collect()
     }
+}
+
+/// Names of files that several folders have.
+fn repeated(names: &[String]) -> HashSet<String> {
+    let mut seen = HashSet::new();
+    let lasts = names.iter().map(|name| name.rsplit('/').next().unwrap_or(name));
+    lasts.filter(|last| !seen.insert(*last)).map(str::to_owned).collect()
 }
 
 /// Adds the names of all pictures of a folder and of the folders below.
@@ -176,10 +211,12 @@ mod tests {
 
     use super::*;
 
+    /// Writes a picture that depends on its path.
     fn photograph(path: &Path, size_px: [u32; 2]) {
         fs::create_dir_all(path.parent().unwrap()).unwrap();
         let bytes = size_px[0] * size_px[1] * 3;
-        let picture = Picture::new(size_px, (0..bytes).map(|i| (i % 199) as u8).collect());
+        let name = blake3::hash(path.as_os_str().as_encoded_bytes()).as_bytes()[0];
+        let picture = Picture::new(size_px, (0..bytes).map(|i| (i % 199) as u8 ^ name).collect());
         picture.write_jpeg(path, 90).unwrap();
     }
 
@@ -187,7 +224,7 @@ mod tests {
     fn names_of_all_kinds_are_found_and_bad_files_are_named() {
         let folder = tempfile::tempdir().unwrap();
         let at = |name: &str| folder.path().join(name);
-        for name in ["B.JPG", "a b ü.jpeg", "100MEDIA/B.JPG", ".hidden/c.jpg"] {
+        for name in ["B.JPG", "a b ü.jpeg", "100MEDIA/B.JPG", "100MEDIA/D.JPG", ".hidden/c.jpg"] {
             photograph(&at(name), [32, 24]);
         }
         photograph(&at("portrait.jpg"), [24, 32]);
@@ -197,19 +234,39 @@ mod tests {
         fs::write(at("short.JPG"), &whole[..whole.len() - 50]).unwrap();
         photograph(&at("masks/B.JPG.png"), [32, 24]);
         fs::write(at("notes.txt"), "no picture").unwrap();
-        fs::write(at("geo.txt"), "EPSG:4326\nB.JPG 16.5 53.0 70\n").unwrap();
+        let places = "EPSG:4326\nB.JPG 16.5 53.0 70\nD.JPG 16.5 53.0 70\nportrait.jpg 16.5 53.0 70\n";
+        fs::write(at("geo.txt"), places).unwrap();
         let found = Photographs::read(folder.path()).unwrap();
         let names: Vec<&str> = found.usable.iter().map(|photograph| &*photograph.name).collect();
-        assert_eq!(names, ["100MEDIA/B.JPG", "B.JPG", "a b ü.jpeg", "portrait.jpg"]);
+        assert_eq!(names, ["100MEDIA/B.JPG", "100MEDIA/D.JPG", "B.JPG", "a b ü.jpeg", "portrait.jpg"]);
         let masked: Vec<&str> =
             found.usable.iter().filter(|its| its.mask.is_some()).map(|its| &*its.name).collect();
         assert_eq!(masked, ["B.JPG"]);
         assert_eq!(found.with_gps(), 2, "geo.txt of ODM names files without folders");
-        assert_eq!(found.by_lens().iter().map(Vec::len).collect::<Vec<_>>(), [1, 3]);
+        assert_eq!(found.by_lens().iter().map(Vec::len).collect::<Vec<_>>(), [1, 4]);
         let left_out: Vec<&str> = found.left_out.iter().map(|(name, _)| &**name).collect();
-        assert_eq!(left_out, ["empty.jpg", "short.JPG", "two\nlines.jpg"]);
-        assert!(found.left_out[2].1.contains("rename it"), "{:?}", found.left_out);
-        assert!(found.left_out[1].1.contains("cut short"), "{:?}", found.left_out);
+        assert_eq!(left_out, ["B.JPG of geo.txt", "empty.jpg", "short.JPG", "two\nlines.jpg"]);
+        assert!(found.left_out[3].1.contains("rename it"), "{:?}", found.left_out);
+        assert!(found.left_out[2].1.contains("cut short"), "{:?}", found.left_out);
+    }
+
+    /// They would count as views that agree.
+    #[test]
+    fn copies_of_a_photograph_are_left_out() {
+        let folder = tempfile::tempdir().unwrap();
+        let at = |name: &str| folder.path().join(name);
+        for name in ["a.jpg", "b.jpg", "c.jpg"] {
+            photograph(&at(name), [32, 24]);
+        }
+        fs::create_dir(at("card")).unwrap();
+        for name in ["d.jpg", "card/b.jpg"] {
+            fs::copy(at("b.jpg"), at(name)).unwrap();
+        }
+        let found = Photographs::read(folder.path()).unwrap();
+        let names: Vec<&str> = found.usable.iter().map(|photograph| &*photograph.name).collect();
+        assert_eq!(names, ["a.jpg", "c.jpg", "card/b.jpg"]);
+        let told = |name: &str| (name.to_owned(), "is a copy of card/b.jpg".to_owned());
+        assert_eq!(found.left_out, ["b.jpg", "d.jpg"].map(told));
     }
 
     /// A file in which 1 GiB of zeros, which take no space on the disk, follow the first `begin` bytes of a picture.

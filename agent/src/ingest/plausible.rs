@@ -1,12 +1,12 @@
 //! Whether a list of control points is about the place that the photographs show. A wrong zone, or columns in another order,
 //! would bend the model or carry it away, and every residual would look small.
 
-use std::collections::{BTreeSet, HashMap};
+use std::collections::BTreeSet;
 
 use cosurf_geo::{ControlPoint, GeoError, Geodetic, Sighting, SiteFrame, Up};
 use glam::{DMat2, DVec2, DVec3};
 
-use super::control::file_name;
+use super::names::{Meant, Names};
 use super::photographs::Photograph;
 use super::placing::geodetic;
 
@@ -28,15 +28,13 @@ fn refused(reason: String) -> GeoError {
 
 /// An error if the points lie far from the GPS of the photographs that show them.
 pub(super) fn check_place(photographs: &[Photograph], points: &[ControlPoint]) -> Result<(), GeoError> {
-    let places: HashMap<String, Geodetic> = photographs
-        .iter()
-        .filter_map(|photograph| Some((file_name(&photograph.name), geodetic(&photograph.gps?))))
-        .collect();
+    let names = names_of(photographs);
     let mut off_m = Vec::new();
     for point in points {
         let site = SiteFrame::new(point.place)?;
-        let seen_from = point.marks.iter().filter_map(|mark| places.get(&file_name(&mark.photograph)));
-        off_m.extend(seen_from.map(|place| site.enu_from_geodetic(place).length()));
+        let seen_from =
+            point.marks.iter().filter_map(|mark| photographs[names.find(&mark.photograph).one()?].gps);
+        off_m.extend(seen_from.map(|gps| site.enu_from_geodetic(&geodetic(&gps)).length()));
     }
     off_m.sort_by(f64::total_cmp);
     match off_m.get(off_m.len() / 2) {
@@ -94,11 +92,11 @@ pub(super) fn missing_photographs(
     photographs: &[Photograph],
     points: &[ControlPoint],
 ) -> Option<(String, String)> {
-    let here: BTreeSet<String> = photographs.iter().map(|photograph| file_name(&photograph.name)).collect();
+    let here = names_of(photographs);
     let marks = points.iter().flat_map(|point| &point.marks);
     let missing: Vec<&str> = marks
         .map(|mark| mark.photograph.as_str())
-        .filter(|photograph| !here.contains(&file_name(photograph)))
+        .filter(|photograph| here.find(photograph) == Meant::None)
         .collect();
     let names: BTreeSet<&str> = missing.iter().copied().collect();
     let told: Vec<&str> = names.iter().copied().take(TOLD_MAX).collect();
@@ -106,6 +104,10 @@ pub(super) fn missing_photographs(
     let reason =
         || format!("{} in photographs that are not here ({}{more})", count(missing.len()), told.join(", "));
     (!missing.is_empty()).then(|| ("gcp_list.txt".to_owned(), reason()))
+}
+
+fn names_of(photographs: &[Photograph]) -> Names {
+    Names::of(photographs.iter().map(|photograph| photograph.name.as_str()))
 }
 
 fn count(marks: usize) -> String {

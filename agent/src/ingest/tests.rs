@@ -59,13 +59,14 @@ impl Flight {
         fs::write(flight.at("luck"), "no luck").unwrap();
         fs::write(flight.at("colmap"), SCRIPT).unwrap();
         fs::set_permissions(flight.at("colmap"), fs::Permissions::from_mode(0o755)).unwrap();
-        let picture = Picture::new([64, 48], (0..64 * 48 * 3).map(|i| (i % 199) as u8).collect());
+        let picture =
+            |seed: u8| Picture::new([64, 48], (0..64 * 48 * 3).map(|i| (i % 199) as u8 ^ seed).collect());
         let site = SiteFrame::new(ORIGIN).unwrap();
         let (mut views, mut images, mut geo) = (Vec::new(), String::new(), "EPSG:4326\n".to_owned());
         for (i, enu) in Self::places().into_iter().enumerate() {
             let name = format!("a{i}.JPG");
-            picture.write_jpeg(&flight.at("photos").join(&name), 90).unwrap();
-            picture.write_jpeg(&flight.at("undistorted/images").join(&name), 90).unwrap();
+            picture(i as u8).write_jpeg(&flight.at("photos").join(&name), 90).unwrap();
+            picture(i as u8).write_jpeg(&flight.at("undistorted/images").join(&name), 90).unwrap();
             let camera = Self::camera(enu, i);
             let Pose { rotation: q, translation: t } = camera.cam_from_world;
             images += &format!("{i} {} {} {} {} {} {} {} 1 {name}\n", q.w, q.x, q.y, q.z, t.x, t.y, t.z);

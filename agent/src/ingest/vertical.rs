@@ -42,7 +42,7 @@ mod tests {
     fn heights_of_lists_are_raised_by_the_undulation() {
         let folder = tempfile::tempdir().unwrap();
         for i in 0..3 {
-            Picture::new([8, 6], vec![9; 144])
+            Picture::new([8, 6], vec![9 * i as u8; 144])
                 .write_jpeg(&folder.path().join(format!("{i}.jpg")), 90)
                 .unwrap();
         }

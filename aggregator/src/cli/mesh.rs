@@ -6,7 +6,7 @@ use std::path::{Path, PathBuf};
 use std::thread::available_parallelism;
 use std::time::Instant;
 
-use anyhow::{Result, bail};
+use anyhow::{Result, bail, ensure};
 use clap::Args;
 use cosurf_aggregator::Meter;
 use cosurf_aggregator::mesh::{FuseSettings, Fused, decimate, mesh_file};
@@ -75,6 +75,10 @@ pub(crate) fn run(args: &MeshArgs) -> Result<()> {
     let mut fused = fused.out_of_frame(&frame);
     if let Some(triangles) = args.triangles {
         fused.mesh = decimate(fused.mesh, triangles as usize);
+        ensure!(
+            !fused.mesh.triangles.is_empty(),
+            "no surface is left with {triangles} triangles; ask for more"
+        );
     }
     fused.mesh.write(&args.out)?;
     print(args, &fused, begun.elapsed().as_secs_f64())

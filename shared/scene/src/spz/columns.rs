@@ -17,6 +17,9 @@ const ENTRY_BYTES: u64 = 16;
 /// Largest accepted window of zstd, as a power of two, bytes: that of its levels up to 19.
 const WINDOW_LOG_MAX: u32 = 23;
 
+/// Bytes after the last column that are read for the checksum behind them.
+const MORE_BYTES_MAX: u64 = 64 << 20;
+
 /// One column of a file.
 pub(super) type Column = Box<dyn Read>;
 
@@ -48,9 +51,12 @@ pub(super) fn open(path: &Path, header: &Header) -> Result<[Column; 6], Refusal>
     if header.version == Version::V4 { open_zstd(path, header) } else { open_gzip(path, header) }
 }
 
-/// One stream has the head and all columns: each decoder skips what is before its column.
+/// One stream has the head and all columns: each decoder skips what is before its column. That of the last one reads to the
+/// end of the stream, which has a checksum of all.
 fn open_gzip(path: &Path, header: &Header) -> Result<[Column; 6], Refusal> {
     let mut before_bytes = HEAD_BYTES as u64;
+    let columns = header.columns();
+    let all_bytes = before_bytes + header.splats as u64 * columns.iter().sum::<usize>() as u64;
     each(header, |bytes| {
         let mut gzip = GzDecoder::new(BufReader::new(File::open(path)?));
         let skipped = io::copy(&mut (&mut gzip).take(before_bytes), &mut io::sink())?;
@@ -58,8 +64,31 @@ fn open_gzip(path: &Path, header: &Header) -> Result<[Column; 6], Refusal> {
             return Err(Refusal::Io(ErrorKind::UnexpectedEof.into()));
         }
         before_bytes += bytes;
-        Ok(Box::new(BufReader::new(gzip.take(bytes))))
+        match bytes > 0 && before_bytes == all_bytes {
+            true => Ok(Box::new(BufReader::new(ToTheEnd { stream: gzip, left: bytes }))),
+            false => Ok(Box::new(BufReader::new(gzip.take(bytes)))),
+        }
     })
+}
+
+/// The last column of a stream. With its last byte, it reads what follows, so that the stream's checksum is compared.
+struct ToTheEnd<R> {
+    stream: R,
+    /// Bytes of the column that are not read yet.
+    left: u64,
+}
+
+impl<R: Read> Read for ToTheEnd<R> {
+    fn read(&mut self, out: &mut [u8]) -> io::Result<usize> {
+        let read = (&mut self.stream).take(self.left).read(out)?;
+        self.left -= read as u64;
+        if self.left == 0 && read > 0 {
+            // Later versions may have more columns.
+            let more = io::copy(&mut (&mut self.stream).take(MORE_BYTES_MAX), &mut io::sink());
+            more.map_err(|_| io::Error::new(ErrorKind::InvalidData, "its checksum does not match"))?;
+        }
+        Ok(read)
+    }
 }
 
 /// A table tells the sizes of the streams. Empty columns have no stream.

@@ -158,6 +158,19 @@ fn files_that_are_not_spz_are_refused_with_a_reason() {
     assert!(read_bytes(&gzip(b"ply\n")).unwrap_err().contains("gzip"));
 }
 
+/// Most damage to compressed values gives other values; only the checksum at the end tells.
+#[test]
+fn a_wrong_checksum_is_noticed() {
+    for version in [Version::V2, Version::V3] {
+        let mut bytes = file(version);
+        assert!(read_bytes(&bytes).is_ok());
+        let checksum = bytes.len() - 8;
+        bytes[checksum] ^= 1;
+        let reason = read_bytes(&bytes).unwrap_err();
+        assert!(reason.contains("checksum"), "{reason}");
+    }
+}
+
 #[test]
 fn files_of_version_4_are_refused_if_their_table_lies() {
     let sane = file(Version::V4);
