@@ -71,7 +71,8 @@ fn open_gzip(path: &Path, header: &Header) -> Result<[Column; 6], Refusal> {
     })
 }
 
-/// The last column of a stream. With its last byte, it reads what follows, so that the stream's checksum is compared.
+/// The last column of a stream. With its last byte, it reads what follows, so that the stream's checksum is compared. Streams of
+/// zstd need not have one.
 struct ToTheEnd<R> {
     stream: R,
     /// Bytes of the column that are not read yet.
@@ -122,7 +123,7 @@ fn open_zstd(path: &Path, header: &Header) -> Result<[Column; 6], Refusal> {
         stream_at += packed_bytes;
         let mut zstd = zstd::Decoder::new(stream.take(packed_bytes))?;
         zstd.window_log_max(WINDOW_LOG_MAX)?;
-        Ok(Box::new(BufReader::new(zstd)))
+        Ok(Box::new(BufReader::new(ToTheEnd { stream: zstd, left: bytes })))
     })
 }
 

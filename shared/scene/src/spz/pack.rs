@@ -41,7 +41,7 @@ pub(super) fn encode(
     }
     let stored = columns.iter().filter(|column| !column.is_empty());
     let packed: Vec<Vec<u8>> =
-        stored.clone().map(|column| zstd::bulk::compress(column, ZSTD_LEVEL)).collect::<io::Result<_>>()?;
+        stored.clone().map(|column| compressed(column.as_slice())).collect::<io::Result<_>>()?;
     head[HEAD_BYTES - 1] = packed.len() as u8;
     out.write_all(&head)?;
     out.write_all(&V4_HEAD_BYTES.to_le_bytes())?; // offset of the table
@@ -51,6 +51,13 @@ pub(super) fn encode(
         out.write_all(&(column.len() as u64).to_le_bytes())?;
     }
     packed.iter().try_for_each(|packed| out.write_all(packed))
+}
+
+/// A column as a stream of zstd with a checksum.
+fn compressed(column: &[u8]) -> io::Result<Vec<u8>> {
+    let mut zstd = zstd::bulk::Compressor::new(ZSTD_LEVEL)?;
+    zstd.include_checksum(true)?;
+    zstd.compress(column)
 }
 
 fn head(splats: &Splats, fraction_bits: u8, version: Version) -> [u8; HEAD_BYTES] {

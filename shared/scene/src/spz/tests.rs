@@ -169,6 +169,10 @@ fn a_wrong_checksum_is_noticed() {
         let reason = read_bytes(&bytes).unwrap_err();
         assert!(reason.contains("checksum"), "{reason}");
     }
+    // The last bytes are the checksum of the last stream.
+    let mut bytes = file(Version::V4);
+    *bytes.last_mut().unwrap() ^= 1;
+    assert!(read_bytes(&bytes).is_err());
 }
 
 #[test]
