@@ -100,10 +100,8 @@ fn has_same_place(a: &Line, b: &Line) -> bool {
 /// Reads a line. An error is what is wrong with it.
 fn parse(number_of_line: usize, text: &str) -> Result<Line, &'static str> {
     let words: Vec<&str> = text.split_whitespace().collect();
-    let numbers = words.get(..5).and_then(|words| words.iter().map(|word| number(word)).collect());
-    let (Some([east, north, height, x, y]), [photograph, rest @ ..]) =
-        (numbers.and_then(|numbers: Vec<f64>| numbers.try_into().ok()), words.get(5..).unwrap_or_default())
-    else {
+    let numbers: Vec<f64> = words.iter().take(5).map_while(|word| number(word)).collect();
+    let ([east, north, height, x, y], Some([photograph, rest @ ..])) = (numbers[..], words.get(5..)) else {
         return Err("write `east north height pixel_x pixel_y photograph name`");
     };
     if x < 0.0 || y < 0.0 {
