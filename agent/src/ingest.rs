@@ -14,6 +14,7 @@ mod colmap;
 mod control;
 mod error;
 mod given;
+mod gps;
 mod lens;
 mod masks;
 mod names;

@@ -16,8 +16,7 @@ use cosurf_engine::{
 use cosurf_scene::bytes::format_bytes;
 use cosurf_scene::cache::Source;
 use cosurf_scene::{
-    Camera, Dataset, LocalFrame, ORIGIN_MAX, Picture, PictureCache, Shrinking, SparsePoint, Splats, View,
-    mask,
+    Camera, Dataset, LocalFrame, ORIGIN_MAX, PictureCache, Shrinking, SparsePoint, Splats, View, mask,
 };
 use glam::DVec3;
 use tracing::info_span;
@@ -147,6 +146,7 @@ impl Session {
             .map(|folder| format!("{}: its smaller pictures suffice and are used", folder.display()))
             .into_iter()
             .collect();
+        notes.extend(Dataset::damaged_pictures(&plan.data).iter().map(|line| format!("left out: {line}")));
         let (train, held_out) = split(&dataset, &plan.split)?;
         let data = dataset.subset(&train);
         let frame = LocalFrame::of(data.cameras_of_views());
@@ -377,14 +377,12 @@ fn check_pictures(held_out: &[View], sizes: &Sizes) -> Result<()> {
     Ok(())
 }
 
-/// Fails if the file of a picture to train on was cut short. A training fails at its first steps then. Decodes no picture.
+/// Fails if a picture of the dataset is damaged. A training leaves it out. Decodes no picture.
 pub fn check_pictures_are_whole(plan: &TrainPlan) -> Result<()> {
-    let (dataset, _) = open_dataset(plan)?;
-    let (train, _) = split(&dataset, &plan.split)?;
-    for index in train {
-        Picture::size_of_whole(&dataset.views[index].path)?;
+    match Dataset::damaged_pictures(&plan.data).into_iter().next() {
+        Some(line) => bail!(line),
+        None => Ok(()),
     }
-    Ok(())
 }
 
 /// Reads the splats to start from, at most `splats_max`. Fails if the cameras see none of them.

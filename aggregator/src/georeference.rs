@@ -15,7 +15,7 @@ pub enum GeoreferenceError {
     #[error(transparent)]
     Geo(#[from] GeoError),
     /// Two folders have worlds about different origins.
-    #[error("{} and {} have different origins in {}; make both about one origin, or leave one out", first.display(), second.display(), Georeference::FILE)]
+    #[error("{} and {} have different origins in {}; make both about one origin (`cosurf-agent ingest --origin`), or leave one out", first.display(), second.display(), Georeference::FILE)]
     OtherOrigin {
         /// A folder.
         first: PathBuf,

@@ -161,9 +161,11 @@ pub fn survey(order: &SurveyOrder, mut on_event: impl FnMut(SurveyEvent)) -> Res
     check_memory(&scene, order)?;
     fs::create_dir_all(&order.out).map_err(|cause| SceneError::io(&order.out, cause))?;
     atomic::remove_partial_files(&order.out)?;
+    points::remove_leftovers(&order.out)?;
     let out = |name| order.out.join(name);
     let accuracy_file = out("accuracy.json");
     remove(&accuracy_file)?; // its statement is of the files of an earlier run
+    remove(&out("volumes.json"))?; // of polygons that may not be wanted this time
 
     let relief = match &order.mesh {
         Some(mesh) => scene.read_mesh(mesh)?,

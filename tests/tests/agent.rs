@@ -462,8 +462,9 @@ fn bad_datasets_get_one_clear_line() {
         names.swap_remove(3)
     };
     damaged(&|data| fs::remove_file(picture(data)).unwrap(), &["missing"]);
-    damaged(&|data| fs::write(picture(data), b"").unwrap(), &["empty"]);
-    damaged(&|data| fs::write(picture(data), b"not a picture").unwrap(), &[".jpg"]);
+    let all = |data: &Path| fs::read_dir(data.join("images")).unwrap().map(|e| e.unwrap().path());
+    damaged(&|data| all(data).for_each(|path| fs::write(path, b"").unwrap()), &["empty"]);
+    damaged(&|data| all(data).for_each(|path| fs::write(path, b"not a picture").unwrap()), &[".jpg"]);
     damaged(
         &|data| {
             let path = data.join("sparse/0/points3D.bin");
@@ -483,6 +484,28 @@ fn bad_datasets_get_one_clear_line() {
         &["OPENCV", "colmap image_undistorter"],
     );
     refuse(train(&out.path().join("nothing"), out.path(), &["--steps", "3"]), &["nothing"]);
+}
+
+/// A card that was pulled out damages a picture. The others are enough.
+#[test]
+fn single_damaged_pictures_are_left_out_and_told() {
+    let data = copy_of_city();
+    let mut pictures: Vec<_> =
+        fs::read_dir(data.path().join("images")).unwrap().map(|e| e.unwrap().path()).collect();
+    pictures.sort();
+    let whole = fs::read(&pictures[2]).unwrap();
+    for (picture, content) in [(1, &b""[..]), (2, &whole[..whole.len() / 2]), (3, b"not a picture")] {
+        fs::write(&pictures[picture], content).unwrap();
+    }
+    let out = tempfile::tempdir().unwrap();
+    let output = train(data.path(), &out.path().join("o"), &["--steps", "3"]).output().unwrap();
+    let told = String::from_utf8_lossy(&output.stderr);
+    assert!(output.status.success(), "{told}");
+    for picture in &pictures[1..4] {
+        let name = picture.file_name().unwrap().to_str().unwrap();
+        assert!(told.lines().any(|line| line.starts_with("left out: ") && line.contains(name)), "{told}");
+    }
+    assert_eq!(told.lines().filter(|line| line.starts_with("left out: ")).count(), 3, "{told}");
 }
 
 #[test]

@@ -10,6 +10,7 @@ use cosurf_geo::{ControlPoint, Gps, PhotoInfo, read_gcp_list, read_geo_txt};
 use cosurf_scene::{Mask, Picture, SceneError, is_of_masks, mask_of};
 
 use super::error::IngestError;
+use super::gps::{apart_m, list_elsewhere};
 
 /// Most photographs of a dataset.
 const PHOTOGRAPHS_MAX: usize = 100_000;
@@ -66,12 +67,17 @@ impl Photographs {
         let reason =
             "is the name of several photographs, so its place does not count; write their folders too";
         all.left_out.extend(of_several.into_iter().map(|name| (format!("{name} of geo.txt"), reason.into())));
+        let mut off_m = Vec::new();
         for name in names {
             match read(&all.folder, &name, &places, root) {
-                Ok(photograph) => all.usable.push(photograph),
+                Ok((photograph, exif)) => {
+                    off_m.extend(photograph.gps.zip(exif).map(|(gps, exif)| apart_m(&gps, &exif)));
+                    all.usable.push(photograph);
+                }
                 Err(reason) => all.left_out.push((name, reason)),
             }
         }
+        all.left_out.extend(list_elsewhere(off_m));
         all.leave_out_copies()?;
         all.enough()
     }
@@ -158,13 +164,13 @@ fn collect(folder: &Path, prefix: &str, depth: usize, names: &mut Vec<String>) -
     Ok(())
 }
 
-/// A photograph; the reason in words if it cannot be used.
+/// A photograph, and the place that its EXIF tells; the reason in words if it cannot be used.
 fn read(
     folder: &Path,
     name: &str,
     places: &HashMap<String, Gps>,
     masks_beside: &Path,
-) -> Result<Photograph, String> {
+) -> Result<(Photograph, Option<Gps>), String> {
     // COLMAP reads names from lists with a line for each.
     if name.contains(|c: char| c.is_control() || c == char::REPLACEMENT_CHARACTER)
         || name.len() > NAME_BYTES_MAX
@@ -178,7 +184,7 @@ fn read(
     let mask = mask.map(|mask| state(&mask.path).map(|state| (mask, state))).transpose()?;
     let listed = places.get(name).or_else(|| places.get(name.rsplit('/').next().unwrap_or(name))).copied();
     let has_exif_gps = info.gps.is_some() && listed.is_none();
-    Ok(Photograph {
+    let photograph = Photograph {
         name: name.to_owned(),
         size_px,
         camera: info.camera,
@@ -186,7 +192,8 @@ fn read(
         has_exif_gps,
         state: state(&path)?,
         mask,
-    })
+    };
+    Ok((photograph, info.gps))
 }
 
 /// Size and time of a file.

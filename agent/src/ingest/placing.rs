@@ -11,6 +11,7 @@ use glam::{DQuat, DVec3};
 
 use super::adjustment::{KnownCenter, KnownPoint};
 use super::control::{SeenPoint, seen};
+use super::gps::geodetic;
 use super::photographs::Photographs;
 use super::plausible::{check_axes, check_place, gps_elsewhere};
 use super::reconstruction::{Posed, Reconstruction};
@@ -171,11 +172,6 @@ pub(super) fn upright(up: &Up) -> Placed {
         centers: Vec::new(),
         points: Vec::new(),
     }
-}
-
-pub(super) fn geodetic(gps: &Gps) -> Geodetic {
-    let Gps { latitude_deg, longitude_deg, height_m } = *gps;
-    Geodetic { latitude_deg, longitude_deg, height_m: height_m.unwrap_or(0.0) }
 }
 
 /// The median of places, rounded to [`ORIGIN_STEP_DEG`] and whole metres.

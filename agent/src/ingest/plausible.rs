@@ -3,16 +3,13 @@
 
 use std::collections::BTreeSet;
 
-use cosurf_geo::{ControlPoint, GeoError, Geodetic, Sighting, SiteFrame, Up};
-use glam::{DMat2, DVec2, DVec3};
+use cosurf_geo::{ControlPoint, GeoError, Sighting, SiteFrame, Up};
+use glam::{DMat2, DVec2};
 
+use super::gps::{ELSEWHERE_M, geodetic};
 use super::names::{Meant, Names};
 use super::photographs::Photograph;
-use super::placing::geodetic;
 
-/// A point farther from the photographs that show it is somewhere else, metres. The neighbouring zone of a map is more than
-/// a hundred kilometres away.
-const ELSEWHERE_M: f64 = 10_000.0;
 /// GPS farther than this from where control points put the photographs is not explained by its errors, metres.
 const GPS_OFF_M: f64 = 50.0;
 /// How surely the direction of up must be known to tell a mirrored list, radians.
@@ -117,8 +114,8 @@ fn count(marks: usize) -> String {
 #[cfg(test)]
 mod tests {
     #![allow(clippy::unwrap_used)]
-    use cosurf_geo::{Gps, Mark};
-    use glam::DQuat;
+    use cosurf_geo::{Geodetic, Gps, Mark};
+    use glam::{DQuat, DVec3};
 
     use super::*;
 

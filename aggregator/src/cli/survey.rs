@@ -11,6 +11,7 @@ use cosurf_aggregator::survey::{Accuracy, CONTOURS_M, SurveyOrder};
 use cosurf_contract::counted;
 use cosurf_geo::{Geodetic, Georeference};
 use cosurf_scene::bytes::parse_bytes;
+use cosurf_scene::files;
 
 use super::arguments::parse_length;
 use super::host::{cores, display};
@@ -64,10 +65,11 @@ pub(crate) struct SurveyArgs {
 }
 
 pub(crate) fn run(args: &SurveyArgs) -> Result<()> {
+    let folder = files::folder_of(&args.folder);
     let order = SurveyOrder {
-        folder: args.folder.clone(),
+        folder: folder.to_owned(),
         out: args.out.clone(),
-        georeference: georeference(args)?,
+        georeference: georeference(folder, args)?,
         mesh: None,
         geoid: args.geoid.clone(),
         gsd_m: args.gsd,
@@ -82,14 +84,14 @@ pub(crate) fn run(args: &SurveyArgs) -> Result<()> {
 }
 
 /// Where the model lies, from the options or from its folder.
-fn georeference(args: &SurveyArgs) -> Result<Georeference> {
-    ensure!(args.folder.is_dir(), "{}: there is no such folder; name that of a model", args.folder.display());
-    let mut georeference = match (args.origin, Georeference::of_folder(&args.folder)?) {
+fn georeference(folder: &Path, args: &SurveyArgs) -> Result<Georeference> {
+    ensure!(folder.is_dir(), "{}: there is no such folder; name that of a model", folder.display());
+    let mut georeference = match (args.origin, Georeference::of_folder(folder)?) {
         (Some(origin), _) => Georeference::at(origin)?,
         (None, Some(georeference)) => georeference,
         (None, None) => bail!(
             "{}: there is no {} with an origin, which tells where on the earth the model lies; give the world's origin with --origin LAT,LON,HEIGHT",
-            args.folder.display(),
+            folder.display(),
             Georeference::FILE
         ),
     };

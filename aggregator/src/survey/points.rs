@@ -8,7 +8,7 @@
 //! The vertices wait in a file until it is known which heights of the map can be trusted: where there is none, their heights
 //! cannot be trusted either.
 
-use std::fs::File;
+use std::fs::{self, File};
 use std::io::{self, Read, Seek, SeekFrom, Write};
 use std::path::{Path, PathBuf};
 
@@ -27,6 +27,23 @@ use super::tiles::Tiles;
 const STEP_M: f64 = 0.001;
 /// Offsets of coordinates are multiples of this, metres, so that files of one site have the same.
 const OFFSET_STEP_M: f64 = 1000.0;
+
+/// Begin and end of the names of files that the library leaves if it is killed.
+const LEFT_BEHIND: [&str; 2] = ["..points", ".part"];
+
+/// Removes what a survey that was killed has left in a folder.
+pub(super) fn remove_leftovers(folder: &Path) -> Result<(), SceneError> {
+    let io = |cause| SceneError::io(folder, cause);
+    for entry in fs::read_dir(folder).map_err(io)? {
+        let entry = entry.map_err(io)?;
+        let (name, [begin, end]) = (entry.file_name(), LEFT_BEHIND);
+        let is_left = name.to_str().is_some_and(|name| name.starts_with(begin) && name.ends_with(end));
+        if is_left && entry.file_type().is_ok_and(|kind| kind.is_file()) {
+            fs::remove_file(entry.path()).map_err(|cause| SceneError::io(&entry.path(), cause))?;
+        }
+    }
+    Ok(())
+}
 
 /// A point in the coordinate system.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Pod, Zeroable)]

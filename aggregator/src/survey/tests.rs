@@ -252,6 +252,22 @@ fn the_orthophoto_has_no_seams_between_tiles() {
     assert!(count * 1000 < large.len(), "{count} of {} pixels differ", large.len());
 }
 
+/// A survey that is killed while it writes points leaves a file of the library, which has a name of its own.
+#[test]
+fn what_a_killed_survey_has_left_is_removed() {
+    let folder = tempfile::tempdir().unwrap();
+    model(folder.path());
+    let order = order(folder.path());
+    std::fs::create_dir(&order.out).unwrap();
+    for name in ["..pointsAV9mlY.partial.eAw1IU.part", ".pointsAV9mlY.partial", "volumes.json"] {
+        std::fs::write(order.out.join(name), "left").unwrap();
+    }
+    survey(&order, |_| ()).unwrap();
+    let names = std::fs::read_dir(&order.out).unwrap().map(|entry| entry.unwrap().file_name());
+    let left: Vec<_> = names.filter(|name| name.to_str().unwrap().starts_with('.')).collect();
+    assert!(left.is_empty() && !order.out.join("volumes.json").exists(), "{left:?}");
+}
+
 /// They would make boxes of tiles reach far beyond what the tiles show.
 #[test]
 fn splats_far_outside_of_the_mesh_are_in_no_tile() {

@@ -101,15 +101,15 @@ fn has_same_place(a: &Line, b: &Line) -> bool {
 fn parse(number_of_line: usize, text: &str) -> Result<Line, &'static str> {
     let words: Vec<&str> = text.split_whitespace().collect();
     let numbers: Vec<f64> = words.iter().take(5).map_while(|word| number(word)).collect();
-    let ([east, north, height, x, y], Some([photograph, rest @ ..])) = (numbers[..], words.get(5..)) else {
+    let ([east, north, height, x, y], Some([photograph, rest @ ..])) = (&numbers[..], words.get(5..)) else {
         return Err("write `east north height pixel_x pixel_y photograph name`");
     };
-    if x < 0.0 || y < 0.0 {
+    if *x < 0.0 || *y < 0.0 {
         return Err("a pixel is negative; pixels count from the picture's top-left corner, x first");
     }
-    let mark = Mark { photograph: (*photograph).to_owned(), at_px: DVec2::new(x, y) };
+    let mark = Mark { photograph: (*photograph).to_owned(), at_px: DVec2::new(*x, *y) };
     let name = rest.first().map(|name| (*name).to_owned());
-    Ok(Line { number: number_of_line, at: [east, north, height], mark, name })
+    Ok(Line { number: number_of_line, at: [*east, *north, *height], mark, name })
 }
 
 #[cfg(test)]

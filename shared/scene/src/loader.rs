@@ -34,7 +34,8 @@ impl Dataset {
     }
 
     /// As [`Self::open`], with points that take at most about `points_bytes_max`. If there are more, every second one is
-    /// left out, or three of four, and so on. Also returns of how many points in a row one was kept.
+    /// left out, or three of four, and so on. Also returns of how many points in a row one was kept. Views whose pictures are
+    /// damaged are left out, unless these are more than half of all; [`Self::damaged_pictures`] tells them.
     pub fn open_within(path: &Path, points_bytes_max: usize) -> Result<(Self, usize), SceneError> {
         let (mut dataset, stride) = read(path, points_bytes_max)?;
         if dataset.views.iter().any(|view| view.path.as_os_str().is_empty()) {
@@ -43,6 +44,7 @@ impl Dataset {
         }
         order(path, &mut dataset)?;
         refuse_missing(&dataset.views)?;
+        leave_out_damaged(&mut dataset)?;
         mask_files::refuse_missing(&dataset.views)?;
         dataset.views.iter_mut().try_for_each(fit_camera)?;
         Ok((dataset, stride))
@@ -76,6 +78,13 @@ impl Dataset {
         let mut notes = leftovers::of(path, dataset.as_ref().and_then(|dataset| dataset.views.first()));
         notes.extend(dataset.iter().flat_map(mask_files::notes));
         notes
+    }
+
+    /// A line for each picture that is damaged: cut short, empty, or no picture. Pixels are not decoded. Nothing if the dataset
+    /// cannot be read.
+    pub fn damaged_pictures(path: &Path) -> Vec<String> {
+        let Ok((dataset, _)) = read(path, 0) else { return Vec::new() };
+        damaged(&dataset.views).into_iter().map(|(_, error)| error.to_string()).collect()
     }
 
     /// Takes the pictures from a folder beside theirs that has smaller ones, `images_2`, `images_4` or `images_8`, if it has
@@ -212,6 +221,29 @@ pub(crate) fn refuse_missing(views: &[View]) -> Result<(), SceneError> {
         views.len()
     );
     Err(SceneError::malformed(&first.path, reason))
+}
+
+/// Indices of the views whose pictures are there and damaged, and what is wrong.
+fn damaged(views: &[View]) -> Vec<(usize, SceneError)> {
+    let there = views.iter().enumerate().filter(|(_, view)| view.path.is_file());
+    there.filter_map(|(i, view)| Some((i, Picture::size_of_whole(&view.path).err()?))).collect()
+}
+
+/// Leaves out views with damaged pictures: a disk that was full, or a card that was pulled out, damages the last one. If more
+/// than half are damaged, something else is wrong.
+fn leave_out_damaged(dataset: &mut Dataset) -> Result<(), SceneError> {
+    let damaged = damaged(&dataset.views);
+    let count = damaged.len();
+    let indices: Vec<usize> = damaged.iter().map(|(i, _)| *i).collect();
+    match damaged.into_iter().next() {
+        None => {}
+        Some((_, error)) if 2 * count > dataset.views.len() => return Err(error),
+        Some(_) => {
+            let whole = (0..dataset.views.len()).filter(|i| indices.binary_search(i).is_err());
+            *dataset = dataset.subset(&whole.collect::<Vec<usize>>());
+        }
+    }
+    Ok(())
 }
 
 /// Rescales the view's camera to the size of its picture on disk. Fails if the size cannot be read, or if the picture's
