@@ -111,6 +111,7 @@ pub fn ingest(plan: &IngestPlan, tell: &mut dyn FnMut(AgentEvent)) -> Result<Ing
         resumed: false,
     });
     tell_left_out(tell, &photographs.left_out);
+    tell_left_out(tell, &photographs.notes);
     tell_left_out(tell, missing_photographs(&photographs.usable, &photographs.control).as_slice());
     let places = Places::of(&photographs, plan.origin)?;
 
@@ -150,6 +151,8 @@ fn ingest_given(
 ) -> Result<Ingested, IngestError> {
     let given = Given::read(&plan.photographs, work, plan.origin)?;
     let dataset = given.undistort(colmap, work, plan.max_size_px, tell)?;
+    let (dataset, damaged) = given.without_damaged(dataset);
+    tell_left_out(tell, &damaged);
     for masks in ["masks", "masks_inverted"].map(|name| plan.photographs.join(name)) {
         if masks.is_dir() {
             let reason =

@@ -7,11 +7,12 @@ use std::path::{Path, PathBuf};
 
 use cosurf_contract::{AgentEvent, IngestReport, IngestStage};
 use cosurf_geo::{Geodetic, Georeference, SiteFrame};
-use cosurf_scene::{Dataset, Distorted, Pose, SceneError, Shot, colmap};
+use cosurf_scene::{Dataset, Distorted, Picture, Pose, SceneError, Shot, View, colmap};
 use glam::{DAffine3, DQuat};
 
 use super::IngestError;
 use super::colmap::Colmap;
+use super::photographs::reason;
 use super::placing::round_median;
 use super::stages::{Stage, Stages};
 
@@ -73,6 +74,20 @@ impl Given {
             Stage { kind: IngestStage::Undistorting, commands, inputs, removed: folders.clone(), folders };
         Stages::new(colmap, work, self.key, tell).run(&stage)?;
         Ok(Dataset::open_within(&folder, usize::MAX)?.0)
+    }
+
+    /// The dataset without pictures whose photographs are damaged: COLMAP makes grey ones of them. Also returns the names of
+    /// these photographs, and what is wrong.
+    pub(super) fn without_damaged(&self, dataset: Dataset) -> (Dataset, Vec<(String, String)>) {
+        let fault = |view: &View| {
+            let photograph = self.images.join(&view.name);
+            let error = photograph.is_file().then(|| Picture::size_of_whole(&photograph).err()).flatten()?;
+            Some((view.name.clone(), reason(&error)))
+        };
+        let faults: Vec<Option<(String, String)>> = dataset.views.iter().map(fault).collect();
+        let whole: Vec<usize> = (0..faults.len()).filter(|i| faults[*i].is_none()).collect();
+        let dataset = if whole.len() < faults.len() { dataset.subset(&whole) } else { dataset };
+        (dataset, faults.into_iter().flatten().collect())
     }
 
     /// What was made of it.

@@ -1,10 +1,15 @@
 //! Places that GPS tells, and whether two lists of them are of one site.
 
+use std::collections::BTreeSet;
+
 use cosurf_geo::{Geodetic, Gps, SiteFrame};
 
 /// A place farther than this from another one is of another site, metres. The neighbouring zone of a map is more than a
 /// hundred kilometres away.
 pub(super) const ELSEWHERE_M: f64 = 10_000.0;
+
+/// Names that are told of many.
+const TOLD_MAX: usize = 3;
 
 /// A place; at height 0 if it has none.
 pub(super) fn geodetic(gps: &Gps) -> Geodetic {
@@ -30,6 +35,14 @@ pub(super) fn list_elsewhere(mut off_m: Vec<f64>) -> Option<(String, String)> {
         )
     };
     (middle_m > ELSEWHERE_M).then(|| ("geo.txt".to_owned(), reason()))
+}
+
+/// A few names of many, in their order, for a line.
+pub(super) fn a_few<'a>(names: impl Iterator<Item = &'a str>) -> String {
+    let names: BTreeSet<&str> = names.collect();
+    let more = if names.len() > TOLD_MAX { ", …" } else { "" };
+    let told: Vec<&str> = names.into_iter().take(TOLD_MAX).collect();
+    format!("{}{more}", told.join(", "))
 }
 
 #[cfg(test)]

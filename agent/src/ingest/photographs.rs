@@ -10,7 +10,7 @@ use cosurf_geo::{ControlPoint, Gps, PhotoInfo, read_gcp_list, read_geo_txt};
 use cosurf_scene::{Mask, Picture, SceneError, is_of_masks, mask_of};
 
 use super::error::IngestError;
-use super::gps::{apart_m, list_elsewhere};
+use super::gps::{a_few, apart_m, list_elsewhere};
 
 /// Most photographs of a dataset.
 const PHOTOGRAPHS_MAX: usize = 100_000;
@@ -18,6 +18,11 @@ const PHOTOGRAPHS_MAX: usize = 100_000;
 const DEPTH_MAX: usize = 4;
 /// Longest accepted name, bytes.
 const NAME_BYTES_MAX: usize = 1000;
+
+/// Extensions of videos, and of pictures that are not read, in lower case.
+const VIDEOS: [&str; 6] = ["mp4", "mov", "avi", "mkv", "m4v", "webm"];
+const PICTURES: [&str; 14] =
+    ["dng", "cr2", "cr3", "nef", "arw", "raf", "rw2", "orf", "heic", "heif", "tif", "tiff", "webp", "bmp"];
 
 /// A usable photograph.
 #[derive(Clone, Debug, PartialEq)]
@@ -44,6 +49,8 @@ pub(super) struct Photographs {
     pub(super) usable: Vec<Photograph>,
     /// Names and reasons of those that are left out.
     pub(super) left_out: Vec<(String, String)>,
+    /// What else is not used: names and reasons.
+    pub(super) notes: Vec<(String, String)>,
     pub(super) control: Vec<ControlPoint>,
 }
 
@@ -53,20 +60,23 @@ impl Photographs {
         let below = root.join("images");
         let folder = if below.is_dir() { below } else { root.to_owned() };
         let mut names = Vec::new();
-        collect(&folder, "", DEPTH_MAX, &mut names)?;
+        let mut others = Others::default();
+        collect(&folder, "", DEPTH_MAX, &mut names, &mut others)?;
         names.sort_unstable();
         let list = |name| [&folder, root].map(|at| at.join(name)).into_iter().find(|path| path.is_file());
         let mut places: HashMap<String, Gps> = match list("geo.txt") {
             Some(path) => read_geo_txt(&path)?.into_iter().map(|place| (place.name, place.gps)).collect(),
             None => HashMap::new(),
         };
+        let unused = places_of_others(&places, &names);
         let of_several: Vec<String> =
             repeated(&names).into_iter().filter(|name| places.remove(name).is_some()).collect();
         let control = list("gcp_list.txt").map(|path| read_gcp_list(&path)).transpose()?.unwrap_or_default();
-        let mut all = Self { folder, usable: Vec::new(), left_out: Vec::new(), control };
+        let mut notes: Vec<(String, String)> = unused.into_iter().chain(others.told()).collect();
         let reason =
             "is the name of several photographs, so its place does not count; write their folders too";
-        all.left_out.extend(of_several.into_iter().map(|name| (format!("{name} of geo.txt"), reason.into())));
+        notes.extend(of_several.into_iter().map(|name| (format!("{name} of geo.txt"), reason.into())));
+        let mut all = Self { folder, usable: Vec::new(), left_out: Vec::new(), notes, control };
         let mut off_m = Vec::new();
         for name in names {
             match read(&all.folder, &name, &places, root) {
@@ -77,7 +87,7 @@ impl Photographs {
                 Err(reason) => all.left_out.push((name, reason)),
             }
         }
-        all.left_out.extend(list_elsewhere(off_m));
+        all.notes.extend(list_elsewhere(off_m));
         all.leave_out_copies()?;
         all.enough()
     }
@@ -109,9 +119,13 @@ impl Photographs {
         if found >= 3 {
             return Ok(self);
         }
-        let Self { folder, left_out, .. } = self;
+        let Self { folder, left_out, notes, .. } = self;
         // Names may have line breaks.
-        let unusable = left_out.first().map(|(name, reason)| format!("; {}: {reason}", name.escape_debug()));
+        let unusable = left_out
+            .iter()
+            .chain(&notes)
+            .next()
+            .map(|(name, reason)| format!("; {}: {reason}", name.escape_debug()));
         Err(IngestError::TooFew { folder, found, unusable: unusable.unwrap_or_default() })
     }
 
@@ -130,6 +144,54 @@ impl Photographs {
     }
 }
 
+/// Files that could be photographs or videos, and are not used.
+#[derive(Debug, Default)]
+struct Others {
+    videos: Vec<String>,
+    pictures: Vec<String>,
+}
+
+impl Others {
+    /// Notes a file if it is one.
+    fn add(&mut self, path: &Path, name: &str) {
+        let end = path.extension().unwrap_or_default().to_string_lossy().to_lowercase();
+        let is_of = |known: &[&str]| known.contains(&end.as_str());
+        if is_of(&VIDEOS) {
+            self.videos.push(name.to_owned());
+        } else if is_of(&PICTURES) || path.is_symlink() {
+            self.pictures.push(name.to_owned());
+        }
+    }
+
+    /// Names and reasons, for each kind.
+    fn told(&self) -> impl Iterator<Item = (String, String)> {
+        let frames = "no photographs; extract some with `ffmpeg -i VIDEO -vf fps=2 PHOTOS/%05d.jpg`, and add their places";
+        let kinds = [
+            (&self.videos, frames),
+            (&self.pictures, "no JPEG or PNG that can be read; convert them, with their EXIF"),
+        ];
+        kinds.into_iter().filter(|(files, _)| !files.is_empty()).map(|(files, reason)| {
+            let names = a_few(files.iter().map(String::as_str));
+            (names, format!("{} in all, {reason}", files.len()))
+        })
+    }
+}
+
+/// What is told of places in `geo.txt` whose photographs are not there.
+fn places_of_others(places: &HashMap<String, Gps>, names: &[String]) -> Option<(String, String)> {
+    let lasts = names.iter().map(|name| name.rsplit('/').next().unwrap_or(name));
+    let here: HashSet<&str> = names.iter().map(String::as_str).chain(lasts).collect();
+    let missing: Vec<&str> = places.keys().map(String::as_str).filter(|name| !here.contains(name)).collect();
+    let told = || {
+        format!(
+            "{} of its places are of photographs that are not here ({})",
+            missing.len(),
+            a_few(missing.iter().copied())
+        )
+    };
+    (!missing.is_empty()).then(|| ("geo.txt".to_owned(), told()))
+}
+
 /// Names of files that several folders have.
 fn repeated(names: &[String]) -> HashSet<String> {
     let mut seen = HashSet::new();
@@ -138,7 +200,13 @@ fn repeated(names: &[String]) -> HashSet<String> {
 }
 
 /// Adds the names of all pictures of a folder and of the folders below.
-fn collect(folder: &Path, prefix: &str, depth: usize, names: &mut Vec<String>) -> Result<(), IngestError> {
+fn collect(
+    folder: &Path,
+    prefix: &str,
+    depth: usize,
+    names: &mut Vec<String>,
+    others: &mut Others,
+) -> Result<(), IngestError> {
     let failed = |cause| SceneError::io(folder, cause);
     for entry in fs::read_dir(folder).map_err(failed)? {
         let entry = entry.map_err(failed)?;
@@ -152,9 +220,11 @@ fn collect(folder: &Path, prefix: &str, depth: usize, names: &mut Vec<String>) -
         let last = last.to_string_lossy();
         let is_left_out = last.starts_with('.') || prefix.is_empty() && is_of_masks(&last);
         if path.is_dir() && depth > 0 && !is_left_out {
-            collect(&path, &format!("{name}/"), depth - 1, names)?;
+            collect(&path, &format!("{name}/"), depth - 1, names, others)?;
         } else if is_picture && path.is_file() {
             names.push(name);
+        } else {
+            others.add(&path, &name);
         }
         if names.len() > PHOTOGRAPHS_MAX {
             let reason = "has more than 100,000 photographs; give folders of single flights";
@@ -241,7 +311,11 @@ mod tests {
         fs::write(at("short.JPG"), &whole[..whole.len() - 50]).unwrap();
         photograph(&at("masks/B.JPG.png"), [32, 24]);
         fs::write(at("notes.txt"), "no picture").unwrap();
-        let places = "EPSG:4326\nB.JPG 16.5 53.0 70\nD.JPG 16.5 53.0 70\nportrait.jpg 16.5 53.0 70\n";
+        for name in ["film.MP4", "raw.DNG", "raw.dng"] {
+            fs::write(at(name), "not read").unwrap();
+        }
+        let places =
+            "EPSG:4326\nB.JPG 16.5 53.0 70\nD.JPG 16.5 53.0 70\nportrait.jpg 16.5 53.0 70\nE.JPG 16.5 53.0\n";
         fs::write(at("geo.txt"), places).unwrap();
         let found = Photographs::read(folder.path()).unwrap();
         let names: Vec<&str> = found.usable.iter().map(|photograph| &*photograph.name).collect();
@@ -252,9 +326,14 @@ mod tests {
         assert_eq!(found.with_gps(), 2, "geo.txt of ODM names files without folders");
         assert_eq!(found.by_lens().iter().map(Vec::len).collect::<Vec<_>>(), [1, 4]);
         let left_out: Vec<&str> = found.left_out.iter().map(|(name, _)| &**name).collect();
-        assert_eq!(left_out, ["B.JPG of geo.txt", "empty.jpg", "short.JPG", "two\nlines.jpg"]);
-        assert!(found.left_out[3].1.contains("rename it"), "{:?}", found.left_out);
-        assert!(found.left_out[2].1.contains("cut short"), "{:?}", found.left_out);
+        assert_eq!(left_out, ["empty.jpg", "short.JPG", "two\nlines.jpg"]);
+        assert!(found.left_out[2].1.contains("rename it"), "{:?}", found.left_out);
+        assert!(found.left_out[1].1.contains("cut short"), "{:?}", found.left_out);
+        let notes: Vec<&str> = found.notes.iter().map(|(name, _)| &**name).collect();
+        assert_eq!(notes, ["geo.txt", "film.MP4", "raw.DNG, raw.dng", "B.JPG of geo.txt"]);
+        let told = |index: usize| found.notes[index].1.as_str();
+        assert_eq!(told(0), "1 of its places are of photographs that are not here (E.JPG)");
+        assert!(told(1).starts_with("1 in all, no photographs; extract some with `ffmpeg"), "{}", told(1));
     }
 
     /// They would count as views that agree.

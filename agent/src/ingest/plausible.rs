@@ -1,12 +1,10 @@
 //! Whether a list of control points is about the place that the photographs show. A wrong zone, or columns in another order,
 //! would bend the model or carry it away, and every residual would look small.
 
-use std::collections::BTreeSet;
-
 use cosurf_geo::{ControlPoint, GeoError, Sighting, SiteFrame, Up};
 use glam::{DMat2, DVec2};
 
-use super::gps::{ELSEWHERE_M, geodetic};
+use super::gps::{ELSEWHERE_M, a_few, geodetic};
 use super::names::{Meant, Names};
 use super::photographs::Photograph;
 
@@ -16,8 +14,6 @@ const GPS_OFF_M: f64 = 50.0;
 const UP_SIGMA_MAX_RAD: f64 = 0.3;
 /// The normalised determinant is 1 for points that lie as the photographs show them, and -1 for mirrored ones.
 const MIRRORED_BELOW: f64 = -0.5;
-/// Names of missing photographs that are told.
-const TOLD_MAX: usize = 3;
 
 fn refused(reason: String) -> GeoError {
     GeoError::Refused { path: "gcp_list.txt".into(), reason }
@@ -95,11 +91,8 @@ pub(super) fn missing_photographs(
         .map(|mark| mark.photograph.as_str())
         .filter(|photograph| here.find(photograph) == Meant::None)
         .collect();
-    let names: BTreeSet<&str> = missing.iter().copied().collect();
-    let told: Vec<&str> = names.iter().copied().take(TOLD_MAX).collect();
-    let more = if names.len() > TOLD_MAX { ", …" } else { "" };
-    let reason =
-        || format!("{} in photographs that are not here ({}{more})", count(missing.len()), told.join(", "));
+    let names = || a_few(missing.iter().copied());
+    let reason = || format!("{} in photographs that are not here ({})", count(missing.len()), names());
     (!missing.is_empty()).then(|| ("gcp_list.txt".to_owned(), reason()))
 }
 

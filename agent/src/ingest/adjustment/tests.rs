@@ -161,6 +161,7 @@ fn a_control_point_two_metres_off_is_told_and_bends_nothing() {
         folder: "photographs".into(),
         usable: Vec::new(),
         left_out: Vec::new(),
+        notes: Vec::new(),
         control: control(1.0).into_iter().enumerate().map(point).collect(),
     };
     let places = Places::of(&photographs, Some(origin)).unwrap();
