@@ -125,10 +125,42 @@ fn move_to_site(shots: &mut [Shot], origin: Option<Geodetic>) -> Result<Georefer
 #[cfg(test)]
 mod tests {
     #![allow(clippy::unwrap_used)]
-    use cosurf_scene::{Distortion, Lens};
+    use cosurf_scene::{Camera, Distortion, Lens};
     use glam::{DVec2, DVec3};
 
     use super::*;
+
+    /// COLMAP undistorts what it can decode, and leaves the rest grey.
+    #[test]
+    fn photographs_that_were_cut_short_are_left_out_of_the_dataset() {
+        let folder = tempfile::tempdir().unwrap();
+        let view = |i: u8| {
+            let path = folder.path().join(format!("{i}.jpg"));
+            Picture::new([16, 16], vec![i; 768]).write_jpeg(&path, 90).unwrap();
+            let camera = Camera {
+                cam_from_world: Pose::look_at(DVec3::new(f64::from(i), 0.0, 9.0), DVec3::ZERO, DVec3::Y),
+                focal_px: DVec2::splat(16.0),
+                center_px: DVec2::splat(8.0),
+                size_px: [16, 16],
+            };
+            View { name: format!("{i}.jpg"), path, camera, mask: None }
+        };
+        let dataset = Dataset { views: (0..4).map(view).collect(), points: Vec::new() };
+        let cut = folder.path().join("2.jpg");
+        let bytes = fs::read(&cut).unwrap();
+        fs::write(&cut, &bytes[..bytes.len() - 30]).unwrap();
+        let given = Given {
+            images: folder.path().into(),
+            model: folder.path().into(),
+            count: 4,
+            key: blake3::hash(b""),
+            georeference: None,
+        };
+        let (dataset, left_out) = given.without_damaged(dataset);
+        let names: Vec<&str> = dataset.views.iter().map(|view| &*view.name).collect();
+        assert_eq!((names, &*left_out[0].0, left_out.len()), (vec!["0.jpg", "1.jpg", "3.jpg"], "2.jpg", 1));
+        assert!(left_out[0].1.contains("cut short"), "{left_out:?}");
+    }
 
     #[test]
     fn cameras_of_the_whole_earth_look_the_same_way_at_the_site() {
