@@ -80,6 +80,7 @@ mod tests {
         let origin = Geodetic { latitude_deg: 53.3, longitude_deg: 16.4, height_m: 70.0 };
         let gps = |horizontal_rms_m| GpsResiduals {
             photographs: 9,
+            with_accuracy: 0,
             agreeing: 9,
             horizontal_rms_m,
             vertical_rms_m: 4.0,

@@ -15,11 +15,11 @@ use super::progress::Progress;
 /// Make a dataset for `train` of drone photographs: find their poses with COLMAP, undistort them, and put them in their
 /// place on the earth by their GPS.
 ///
-/// Writes DATA/images, DATA/sparse/0 (x east, y north, z up, metres about the site's origin) and DATA/geo.json. Reads EXIF,
-/// and `geo.txt` and `gcp_list.txt` in the formats of ODM if they lie beside the photographs. Without GPS and control points,
-/// scale and place stay unknown, and there is no geo.json. If PHOTOS has poses already (COLMAP, transforms.json, cameras of
-/// Metashape or RealityCapture), they are kept, and COLMAP only undistorts the pictures. To resume after a stop or a kill,
-/// run the same command again.
+/// Writes DATA/images, DATA/sparse/0 (x east, y north, z up, metres about the site's origin) and DATA/geo.json. Reads EXIF
+/// and XMP, and `geo.txt` and `gcp_list.txt` in the formats of ODM if they lie beside the photographs. Without GPS and
+/// control points, scale and place stay unknown, and there is no geo.json. If PHOTOS has poses already (COLMAP,
+/// transforms.json, cameras of Metashape or RealityCapture), they are kept, and the pictures are only undistorted. To
+/// resume after a stop or a kill, run the same command again.
 /// COLMAP's work lies in DATA/.ingest, which may be deleted afterwards: then the same command begins from the start.
 #[derive(Args, Debug)]
 pub(super) struct IngestArgs {
@@ -89,6 +89,9 @@ fn print_place(out: &mut impl Write, its: &Georeference) -> io::Result<()> {
             "GPS of {} of {} agrees with the poses, to {:.2} m horizontally and {:.2} m vertically",
             gps.agreeing, gps.photographs, gps.horizontal_rms_m, gps.vertical_rms_m
         )?;
+        if gps.with_accuracy > 0 {
+            writeln!(out, "{} of {} tell how accurate their place is", gps.with_accuracy, gps.photographs)?;
+        }
     }
     if let Some(known) = &its.residuals.uncertainty {
         writeln!(

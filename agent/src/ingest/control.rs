@@ -62,7 +62,8 @@ pub(super) fn seen(points: &[ControlPoint], its: &Reconstruction, site: &SiteFra
                 seen.left_out
                     .extend(wrong.into_iter().map(|(photograph, reason)| (mark(photograph), reason)));
                 let enu_m = site.enu_from_geodetic(&point.place);
-                let sighting = Sighting { model, enu_m, has_height: true, sigma_m: SIGMA_M };
+                let sighting =
+                    Sighting { model, enu_m, has_height: true, sigma_m: [SIGMA_M; 2], is_told: false };
                 all.push((point.is_check(), SeenPoint { name: point.name.clone(), marks, sighting }));
             }
             Err(unseen) => {

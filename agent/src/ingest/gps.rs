@@ -13,7 +13,7 @@ const TOLD_MAX: usize = 3;
 
 /// A place; at height 0 if it has none.
 pub(super) fn geodetic(gps: &Gps) -> Geodetic {
-    let Gps { latitude_deg, longitude_deg, height_m } = *gps;
+    let Gps { latitude_deg, longitude_deg, height_m, .. } = *gps;
     Geodetic { latitude_deg, longitude_deg, height_m: height_m.unwrap_or(0.0) }
 }
 
@@ -52,7 +52,7 @@ mod tests {
 
     #[test]
     fn a_list_of_places_in_another_zone_is_told() {
-        let at = |longitude_deg| Gps { latitude_deg: 53.0, longitude_deg, height_m: None };
+        let at = |longitude_deg| Gps { latitude_deg: 53.0, longitude_deg, height_m: None, accuracy: None };
         let off_m = |longitude_deg| apart_m(&at(16.0), &at(longitude_deg));
         assert_eq!(list_elsewhere(vec![off_m(16.1), off_m(16.1), off_m(22.0)]), None, "one is wrong");
         let told = list_elsewhere(vec![off_m(22.0); 3]).unwrap().1;

@@ -61,8 +61,10 @@ mod tests {
                 latitude_deg: 53.0 + 0.0001 * (if i < 30 { i } else { 59 - i.min(59) }) as f64,
                 longitude_deg: 16.5 + if i < 30 { 0.0 } else { 0.0003 },
                 height_m: None,
+                accuracy: None,
             }),
             has_exif_gps: false,
+            is_listed: false,
             state: [0; 2],
             mask: None,
         };

@@ -1,4 +1,4 @@
-//! The photographs of a folder, and what their EXIF and the lists beside them tell.
+//! The photographs of a folder, and what their EXIF, their XMP and the lists beside them tell.
 
 use std::collections::hash_map::Entry;
 use std::collections::{BTreeMap, HashMap, HashSet};
@@ -36,6 +36,8 @@ pub(super) struct Photograph {
     pub(super) gps: Option<Gps>,
     /// Whether EXIF has the same place, so that COLMAP finds it too.
     pub(super) has_exif_gps: bool,
+    /// Whether the place is that of `geo.txt`.
+    pub(super) is_listed: bool,
     /// Size and time of the file, which tell whether it is the same as in an earlier run.
     pub(super) state: [u64; 2],
     /// The mask, and the same of its file.
@@ -253,13 +255,13 @@ fn read(
     let mask = mask_of(masks_beside, Path::new(name));
     let mask = mask.map(|mask| state(&mask.path).map(|state| (mask, state))).transpose()?;
     let listed = places.get(name).or_else(|| places.get(name.rsplit('/').next().unwrap_or(name))).copied();
-    let has_exif_gps = info.gps.is_some() && listed.is_none();
     let photograph = Photograph {
         name: name.to_owned(),
         size_px,
         camera: info.camera,
         gps: listed.or(info.gps),
-        has_exif_gps,
+        has_exif_gps: info.has_exif_gps && listed.is_none(),
+        is_listed: listed.is_some(),
         state: state(&path)?,
         mask,
     };

@@ -106,11 +106,13 @@ impl Places {
 
     fn sighting(&self, posed: &Posed, gps: &Gps) -> Sighting {
         let enu_m = self.site.enu_from_geodetic(&geodetic(gps));
+        let told_m = gps.accuracy.map_or([0.0; 2], |its| [its.horizontal_m, its.vertical_m]);
         Sighting {
             model: posed.cam_from_world.center(),
             enu_m,
             has_height: gps.height_m.is_some(),
-            sigma_m: GPS_SIGMA_MIN_M,
+            sigma_m: told_m.map(|sigma_m| sigma_m.max(GPS_SIGMA_MIN_M)),
+            is_told: gps.accuracy.is_some(),
         }
     }
 }

@@ -113,13 +113,14 @@ mod tests {
     use super::*;
 
     fn photograph(name: &str, longitude_deg: f64) -> Photograph {
-        let gps = Some(Gps { latitude_deg: 53.0, longitude_deg, height_m: Some(170.0) });
+        let gps = Some(Gps { latitude_deg: 53.0, longitude_deg, height_m: Some(170.0), accuracy: None });
         Photograph {
             name: name.into(),
             size_px: [640, 480],
             camera: "camera".into(),
             gps,
             has_exif_gps: true,
+            is_listed: false,
             state: [0; 2],
             mask: None,
         }
@@ -147,7 +148,7 @@ mod tests {
             [[0.0, 0.0, 1.0], [40.0, 5.0, 0.0], [-10.0, 30.0, 3.0], [25.0, 60.0, 0.0], [50.0, 45.0, 2.0]];
         let sighting = |at: [f64; 3]| {
             let at = DVec3::from(at);
-            Sighting { model: 0.1 * (turn * at), enu_m: told(at), has_height: true, sigma_m: 0.05 }
+            Sighting { model: 0.1 * (turn * at), enu_m: told(at), has_height: true, sigma_m: [0.05; 2], is_told: false }
         };
         (at.map(sighting).to_vec(), Up { direction: turn * DVec3::Z, sigma_rad: 0.1 })
     }

@@ -115,6 +115,25 @@ impl Flight {
         }
     }
 
+    /// Moves the places from `geo.txt` to the XMP of the photographs, with this flag of RTK.
+    fn write_xmp(&self, flag: u32) {
+        fs::remove_file(self.at("photos/geo.txt")).unwrap();
+        let site = SiteFrame::new(ORIGIN).unwrap();
+        for (i, enu) in Self::places().into_iter().enumerate() {
+            let Geodetic { latitude_deg, longitude_deg, height_m } = site.geodetic_from_enu(enu);
+            let packet = format!(
+                r#"<d:x xmlns:d="http://www.dji.com/drone-dji/1.0/" d:GpsLatitude="{latitude_deg:+}" d:RtkFlag="{flag}"
+                d:GpsLongitude="{longitude_deg:+}" d:AbsoluteAltitude="{height_m:+}" d:RtkStdLon="0.01" d:RtkStdLat="0.01"/>"#
+            );
+            let content = [b"http://ns.adobe.com/xap/1.0/\0", packet.as_bytes()].concat();
+            let length = u16::try_from(content.len() + 2).unwrap().to_be_bytes();
+            let path = self.at(&format!("photos/a{i}.JPG"));
+            let jpeg = fs::read(&path).unwrap();
+            let segments: [&[u8]; 5] = [&jpeg[..2], &[0xFF, 0xE1], &length, &content, &jpeg[2..]];
+            fs::write(&path, segments.concat()).unwrap();
+        }
+    }
+
     fn at(&self, name: &str) -> PathBuf {
         self.folder.path().join(name)
     }
@@ -166,6 +185,24 @@ fn a_flight_lies_where_its_places_say() {
     assert!(!is_without_place(&flight.at("data")));
     assert_eq!(geo.origin, ORIGIN);
     assert_eq!(geo.residuals.gps.unwrap().agreeing, 4);
+}
+
+#[test]
+fn places_and_accuracies_of_xmp_count_where_exif_has_none() {
+    let known_m = |flag| {
+        let flight = Flight::new();
+        flight.write_xmp(flag);
+        let (ingested, calls, _) = flight.run(&flight.plan());
+        assert_eq!(calls, ALL, "COLMAP reads no XMP: the pairs are listed for it");
+        let residuals = ingested.unwrap().georeference.unwrap().residuals;
+        let gps = residuals.gps.unwrap();
+        assert_eq!((gps.with_accuracy, gps.agreeing), (4, 4));
+        let center = Dataset::open(&flight.at("data")).unwrap().views[0].camera.cam_from_world.center();
+        assert!(center.distance(Flight::places()[0]) < 0.05, "{center}");
+        residuals.uncertainty.unwrap().horizontal_m
+    };
+    let (fixed_m, single_m) = (known_m(50), known_m(16));
+    assert!(fixed_m < 0.05 && single_m > 0.5, "{fixed_m} {single_m}");
 }
 
 #[test]

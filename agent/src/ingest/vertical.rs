@@ -1,6 +1,6 @@
 //! Heights of lists that are above a geoid become heights above the ellipsoid, which the frame of a site has.
 //!
-//! What it knows nothing about: EXIF; its heights stay what the receiver says.
+//! What it knows nothing about: EXIF and XMP; their heights stay what the receiver says.
 
 use std::path::Path;
 
@@ -14,7 +14,7 @@ pub(super) fn raise(photographs: &mut Photographs, grid: &Path) -> Result<(), Ge
         let Geodetic { latitude_deg, longitude_deg, .. } = point.place;
         (latitude_deg, longitude_deg, &mut point.place.height_m)
     });
-    let listed = photographs.usable.iter_mut().filter(|photograph| !photograph.has_exif_gps);
+    let listed = photographs.usable.iter_mut().filter(|photograph| photograph.is_listed);
     let listed = listed.filter_map(|photograph| photograph.gps.as_mut());
     let listed = listed.filter_map(|gps| Some((gps.latitude_deg, gps.longitude_deg, gps.height_m.as_mut()?)));
     let mut geoid = None;

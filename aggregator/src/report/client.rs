@@ -234,7 +234,13 @@ pub(crate) mod tests {
         let folder = tempfile::tempdir().unwrap();
         ply::write(&folder.path().join("global.ply"), &ground(0.0, 50.0), &LocalFrame::WORLD).unwrap();
         let origin = Geodetic { latitude_deg: -33.5, longitude_deg: 16.4, height_m: 70.0 };
-        let gps = GpsResiduals { photographs: 9, agreeing: 8, horizontal_rms_m: 1.25, vertical_rms_m: 2.5 };
+        let gps = GpsResiduals {
+            photographs: 9,
+            with_accuracy: 0,
+            agreeing: 8,
+            horizontal_rms_m: 1.25,
+            vertical_rms_m: 2.5,
+        };
         let residuals = Residuals { gps: Some(gps), ..Residuals::default() };
         let georeference = Georeference { residuals, ..Georeference::at(origin).unwrap() };
         let model = Walkable::read(folder.path(), Room::UNLIMITED).map_err(|error| error.to_string());
@@ -267,7 +273,13 @@ pub(crate) mod tests {
 
     #[test]
     fn residuals_of_merged_drones_are_told_with_their_names() {
-        let gps = GpsResiduals { photographs: 9, agreeing: 8, horizontal_rms_m: 1.25, vertical_rms_m: 2.5 };
+        let gps = GpsResiduals {
+            photographs: 9,
+            with_accuracy: 0,
+            agreeing: 8,
+            horizontal_rms_m: 1.25,
+            vertical_rms_m: 2.5,
+        };
         let residuals = Residuals { gps: Some(gps), ..Residuals::default() };
         let drone = |name: &str| DroneResiduals { name: name.into(), residuals: residuals.clone() };
         let origin = cosurf_geo::Geodetic { latitude_deg: 53.3, longitude_deg: 16.4, height_m: 70.0 };

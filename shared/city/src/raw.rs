@@ -161,7 +161,7 @@ mod tests {
 
     /// The place that a photograph's EXIF tells.
     fn told(path: &Path) -> Geodetic {
-        let Gps { latitude_deg, longitude_deg, height_m } = PhotoInfo::read(path).unwrap().gps.unwrap();
+        let Gps { latitude_deg, longitude_deg, height_m, .. } = PhotoInfo::read(path).unwrap().gps.unwrap();
         Geodetic { latitude_deg, longitude_deg, height_m: height_m.unwrap() }
     }
 

@@ -4,6 +4,7 @@
 
 use std::path::Path;
 
+use crate::ellipsoid::Geodetic;
 use crate::error::GeoError;
 use crate::photo::Gps;
 use crate::table::{Table, number};
@@ -33,7 +34,8 @@ pub fn read_geo_txt(path: &Path) -> Result<Vec<PhotoPlace>, GeoError> {
         let height_m = rest.first().and_then(|word| number(word));
         let place =
             table.crs.place(x, y, height_m.unwrap_or(0.0)).map_err(|error| refuse(error.to_string()))?;
-        let gps = Gps { latitude_deg: place.latitude_deg, longitude_deg: place.longitude_deg, height_m };
+        let Geodetic { latitude_deg, longitude_deg, .. } = place;
+        let gps = Gps { latitude_deg, longitude_deg, height_m, accuracy: None };
         Ok(PhotoPlace { name: (*name).to_owned(), gps })
     };
     table.lines.iter().map(read).collect()

@@ -57,12 +57,19 @@ pub struct DroneResiduals {
 pub struct GpsResiduals {
     /// Number of photographs with a pose and GPS.
     pub photographs: usize,
-    /// Number of these that agree with most of the others.
+    /// Number of these whose receiver told how accurate its place is.
+    #[serde(default, skip_serializing_if = "is_zero")]
+    pub with_accuracy: usize,
+    /// Number of photographs with a pose and GPS that agree with most of the others.
     pub agreeing: usize,
     /// Root mean square of the horizontal differences of those that agree, metres.
     pub horizontal_rms_m: f64,
     /// Root mean square of the differences of height of those that agree, metres.
     pub vertical_rms_m: f64,
+}
+
+fn is_zero(count: &usize) -> bool {
+    *count == 0
 }
 
 /// How well a fitted frame is known: standard deviations that follow from the residuals.
@@ -178,7 +185,13 @@ mod tests {
     fn example() -> Georeference {
         let origin = Geodetic { latitude_deg: 30.1712, longitude_deg: -98.0897, height_m: 301.5 };
         let residual = PointResidual { name: "A".into(), photographs: 3, residual_m: [0.01, -0.02, 0.05] };
-        let gps = GpsResiduals { photographs: 75, agreeing: 70, horizontal_rms_m: 2.5, vertical_rms_m: 4.0 };
+        let gps = GpsResiduals {
+            photographs: 75,
+            with_accuracy: 0,
+            agreeing: 70,
+            horizontal_rms_m: 2.5,
+            vertical_rms_m: 4.0,
+        };
         let residuals = Residuals { gps: Some(gps), control: vec![residual], ..Residuals::default() };
         let drones = vec![DroneResiduals { name: "east".into(), residuals: residuals.clone() }];
         Georeference { residuals, drones, ..Georeference::at(origin).unwrap() }
@@ -191,6 +204,11 @@ mod tests {
         fs::write(folder.path().join(Georeference::FILE), example().to_json()).unwrap();
         assert_eq!(Georeference::of_folder(folder.path()).unwrap(), Some(example()));
         let json: serde_json::Value = serde_json::from_str(&example().to_json()).unwrap();
+        assert_eq!(
+            json["gps"].get("with_accuracy"),
+            None,
+            "a file as before if no receiver told its accuracy"
+        );
         let agreeing = [&json, &json["drones"][0]].map(|its| its["gps"]["agreeing"].as_u64());
         assert_eq!(agreeing, [Some(70); 2], "the residuals stand beside the place and the name");
         let foreign = r#"{"origin_lat": 30.1712, "origin_lon": -98.0897, "scale": 11.3}"#;

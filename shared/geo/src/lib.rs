@@ -54,7 +54,7 @@ pub use geoid::Geoid;
 pub use georeference::{
     DroneResiduals, FitUncertainty, Georeference, GpsResiduals, PointResidual, Residuals,
 };
-pub use photo::{Gps, PhotoInfo};
+pub use photo::{Gps, GpsAccuracy, PhotoInfo};
 pub use projection::Projection;
 pub use similarity::Similarity;
 pub use site::SiteFrame;

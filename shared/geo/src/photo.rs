@@ -1,4 +1,7 @@
-//! What the EXIF of a photograph tells: where it was taken, and with which camera.
+//! What the EXIF and the XMP of a photograph tell: where it was taken, how accurate that is, and with which camera.
+
+mod accuracy;
+mod xmp;
 
 use std::fs::File;
 use std::io::{Cursor, Read};
@@ -7,11 +10,15 @@ use std::path::Path;
 use exif::{Exif, In, Reader, Tag, Value};
 
 use crate::error::GeoError;
+pub use accuracy::GpsAccuracy;
+use xmp::Xmp;
 
-/// EXIF lies at the beginning of a file; more is never read, bytes.
+/// EXIF and XMP lie at the beginning of a file; more is never read, bytes.
 const HEAD_BYTES_MAX: u64 = 1 << 20;
 /// Longest name of a camera that is kept, characters.
 const NAME_CHARS_MAX: usize = 100;
+/// Height above or below the sea at which no photograph of a drone is taken, metres.
+const HEIGHT_M_MAX: f64 = 12_000.0;
 
 /// Where GPS says that a photograph was taken, WGS 84.
 #[derive(Clone, Copy, Debug, PartialEq)]
@@ -22,13 +29,17 @@ pub struct Gps {
     pub longitude_deg: f64,
     /// Metres above whatever the receiver counts from, often mean sea level; `None` if not told.
     pub height_m: Option<f64>,
+    /// How accurate the receiver says that the place is; `None` if not told.
+    pub accuracy: Option<GpsAccuracy>,
 }
 
-/// What the EXIF of a photograph tells; nothing if there is no EXIF, or if it is damaged.
+/// What the EXIF and the XMP of a photograph tell; nothing if there are none, or if they are damaged.
 #[derive(Clone, Debug, Default, PartialEq)]
 pub struct PhotoInfo {
-    /// Where it was taken.
+    /// Where it was taken: by EXIF, or else by XMP.
     pub gps: Option<Gps>,
+    /// Whether EXIF tells the place, so that programs that read no XMP find it.
+    pub has_exif_gps: bool,
     /// Maker, model and focal length of the camera; photographs with the same have the same lens.
     pub camera: String,
 }
@@ -39,20 +50,38 @@ impl PhotoInfo {
         let failed = |cause| GeoError::Io { path: path.into(), cause };
         let mut head = Vec::new();
         File::open(path).map_err(failed)?.take(HEAD_BYTES_MAX).read_to_end(&mut head).map_err(failed)?;
+        let xmp = Xmp::read(&head);
         let exif = Reader::new().continue_on_error(true).read_from_container(&mut Cursor::new(head));
-        let exif = exif.or_else(|error| error.distill_partial_result(|_| {}));
-        Ok(exif.map(|exif| Self { gps: gps(&exif), camera: camera(&exif) }).unwrap_or_default())
+        let exif = exif.or_else(|error| error.distill_partial_result(|_| {})).ok();
+        let by_exif = exif.as_ref().and_then(gps);
+        let accuracy = xmp.accuracy.or_else(|| {
+            let horizontal_m = *rationals(exif.as_ref()?, Tag::GPSHPositioningError)?.first()?;
+            GpsAccuracy::new(horizontal_m, None)
+        });
+        Ok(Self {
+            gps: by_exif.or(xmp.gps).map(|gps| Gps { accuracy, ..gps }),
+            has_exif_gps: by_exif.is_some(),
+            camera: exif.as_ref().map(camera).unwrap_or_default(),
+        })
+    }
+}
+
+impl Gps {
+    /// A place without an accuracy; `None` if the numbers are none of a place.
+    fn new(latitude_deg: f64, longitude_deg: f64, height_m: Option<f64>) -> Option<Self> {
+        // Receivers without a fix write zeros.
+        let is_place = latitude_deg.abs() <= 90.0
+            && longitude_deg.abs() <= 180.0
+            && (latitude_deg, longitude_deg) != (0.0, 0.0);
+        let height_m = height_m.filter(|height_m| height_m.abs() < HEIGHT_M_MAX);
+        is_place.then_some(Self { latitude_deg, longitude_deg, height_m, accuracy: None })
     }
 }
 
 fn gps(exif: &Exif) -> Option<Gps> {
     let latitude_deg = signed_deg(exif, Tag::GPSLatitude, Tag::GPSLatitudeRef, b'S')?;
     let longitude_deg = signed_deg(exif, Tag::GPSLongitude, Tag::GPSLongitudeRef, b'W')?;
-    // Receivers without a fix write zeros.
-    let is_place = latitude_deg.abs() <= 90.0
-        && longitude_deg.abs() <= 180.0
-        && (latitude_deg, longitude_deg) != (0.0, 0.0);
-    is_place.then(|| Gps { latitude_deg, longitude_deg, height_m: height_m(exif) })
+    Gps::new(latitude_deg, longitude_deg, height_m(exif))
 }
 
 /// Degrees, minutes and seconds as degrees; negative if the reference is `negative`.
@@ -71,8 +100,7 @@ fn height_m(exif: &Exif) -> Option<f64> {
     let reference =
         exif.get_field(Tag::GPSAltitudeRef, In::PRIMARY).and_then(|field| field.value.get_uint(0));
     // EXIF 2.3: 1 is below sea level.
-    let height_m = if reference == Some(1) { -height_m } else { height_m };
-    (height_m.abs() < 12_000.0).then_some(height_m)
+    Some(if reference == Some(1) { -height_m } else { height_m })
 }
 
 /// The numbers of a field; `None` if there are none, or one is not finite.
@@ -93,111 +121,4 @@ fn camera(exif: &Exif) -> String {
 }
 
 #[cfg(test)]
-mod tests {
-    #![allow(clippy::unwrap_used)]
-    use exif::experimental::Writer;
-    use exif::{Field, Rational};
-
-    use super::*;
-
-    fn field(tag: Tag, value: Value) -> Field {
-        Field { tag, ifd_num: In::PRIMARY, value }
-    }
-
-    fn degrees(parts: [(u32, u32); 3]) -> Value {
-        Value::Rational(parts.map(|(num, denom)| Rational { num, denom }).to_vec())
-    }
-
-    fn example() -> Vec<Field> {
-        vec![
-            field(Tag::Model, Value::Ascii(vec![b"FC330".to_vec()])),
-            field(Tag::GPSLatitudeRef, Value::Ascii(vec![b"S".to_vec()])),
-            field(Tag::GPSLatitude, degrees([(33, 1), (30, 1), (1800, 100)])),
-            field(Tag::GPSLongitudeRef, Value::Ascii(vec![b"E".to_vec()])),
-            field(Tag::GPSLongitude, degrees([(18, 1), (15, 1), (0, 1)])),
-            field(Tag::GPSAltitudeRef, Value::Byte(vec![1])),
-            field(Tag::GPSAltitude, Value::Rational(vec![Rational { num: 25, denom: 10 }])),
-        ]
-    }
-
-    /// EXIF as it lies in a file, in big-endian order.
-    fn tiff(fields: &[Field]) -> Vec<u8> {
-        let mut writer = Writer::new();
-        fields.iter().for_each(|field| writer.push_field(field));
-        let mut tiff = Cursor::new(Vec::new());
-        writer.write(&mut tiff, false).unwrap();
-        tiff.into_inner()
-    }
-
-    /// The beginning of a JPEG file, up to the end of its EXIF.
-    fn jpeg(tiff: &[u8]) -> Vec<u8> {
-        let length = u16::try_from(tiff.len() + 8).unwrap().to_be_bytes();
-        [&[0xFF, 0xD8, 0xFF, 0xE1], &length[..], b"Exif\0\0", tiff].concat()
-    }
-
-    /// Of a file that ends after its EXIF.
-    fn info(fields: &[Field]) -> PhotoInfo {
-        read(&jpeg(&tiff(fields)))
-    }
-
-    fn read(bytes: &[u8]) -> PhotoInfo {
-        let folder = tempfile::tempdir().unwrap();
-        let path = folder.path().join("A.JPG");
-        std::fs::write(&path, bytes).unwrap();
-        PhotoInfo::read(&path).unwrap()
-    }
-
-    #[test]
-    fn south_and_below_the_sea_are_negative() {
-        let its = info(&example());
-        let gps = its.gps.unwrap();
-        assert!(
-            (gps.latitude_deg + 33.505).abs() < 1e-12 && (gps.longitude_deg - 18.25).abs() < 1e-12,
-            "{gps:?}"
-        );
-        assert_eq!(gps.height_m, Some(-2.5));
-        assert_eq!(its.camera, "FC330");
-    }
-
-    #[test]
-    fn damaged_or_missing_gps_is_no_gps() {
-        let with = |at: usize, value| {
-            let mut fields = example();
-            fields[at].value = value;
-            info(&fields).gps
-        };
-        assert_eq!(with(2, degrees([(33, 0), (0, 1), (0, 1)])), None, "division by zero");
-        assert_eq!(with(2, degrees([(133, 1), (0, 1), (0, 1)])), None, "no latitude");
-        assert_eq!(with(2, Value::Ascii(vec![b"33".to_vec()])), None);
-        assert_eq!(with(6, Value::Rational(vec![Rational { num: 1, denom: 0 }])).unwrap().height_m, None);
-        let mut zero = example();
-        zero[2].value = degrees([(0, 1); 3]);
-        zero[4].value = degrees([(0, 1); 3]);
-        assert_eq!(info(&zero).gps, None, "a receiver without a fix");
-        for bytes in [&b""[..], b"\xFF\xD8\xFF\xE1\xFF\xFFExif\0\0MM", b"no picture", &[0; 5000]] {
-            assert_eq!(read(bytes), PhotoInfo::default());
-        }
-    }
-
-    #[test]
-    fn lengths_that_exif_claims_are_not_believed() {
-        let mut bytes = tiff(&example());
-        let first = u32::from_be_bytes(bytes[4..8].try_into().unwrap()) as usize;
-        let fields = usize::from(u16::from_be_bytes(bytes[first..first + 2].try_into().unwrap()));
-        for field in 0..fields {
-            let count = first + 2 + 12 * field + 4;
-            bytes[count..count + 4].copy_from_slice(&0xFFFF_FFF0u32.to_be_bytes());
-        }
-        assert_eq!(read(&jpeg(&bytes)).gps, None);
-    }
-
-    #[test]
-    fn of_a_large_file_only_the_beginning_is_read() {
-        let folder = tempfile::tempdir().unwrap();
-        let path = folder.path().join("A.JPG");
-        std::fs::write(&path, jpeg(&tiff(&example()))).unwrap();
-        // A gigabyte, of which the disk holds nothing.
-        File::options().write(true).open(&path).unwrap().set_len(1 << 30).unwrap();
-        assert!(PhotoInfo::read(&path).unwrap().gps.is_some());
-    }
-}
+mod tests;

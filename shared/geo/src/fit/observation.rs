@@ -13,8 +13,11 @@ pub struct Sighting {
     pub enu_m: DVec3,
     /// Whether the height is known; otherwise `enu_m.z` does not count.
     pub has_height: bool,
-    /// Least standard deviation of the place, metres, above 0. The residuals may tell that it is larger.
-    pub sigma_m: f64,
+    /// Standard deviations of the place, horizontal and vertical, metres, above 0: those that its receiver tells, or else
+    /// the least ones. The residuals may tell that they are larger.
+    pub sigma_m: [f64; 2],
+    /// Whether its receiver tells them.
+    pub is_told: bool,
 }
 
 impl Sighting {

@@ -18,6 +18,8 @@ const GPS_WORTH: f64 = 4.0;
 const QUARTER_AT: f64 = 3.0;
 /// A place agrees within so many standard deviations.
 const AGREES_WITHIN: f64 = 4.0;
+/// Fewest places of a kind that tell how accurate their kind is: one of them can be wrong.
+pub(super) const JUDGED_MIN: usize = 4;
 /// The standard deviation of the height where nothing tells it, metres.
 const UNKNOWN_HEIGHT_M: f64 = 1000.0;
 /// Of a normal distribution: the standard deviation for each median of the size of a residual.
@@ -33,32 +35,39 @@ pub(super) struct Refined {
     pub(super) uncertainty: FitUncertainty,
 }
 
-/// Standard deviations of places, by their residuals, metres.
+/// Standard deviations of places, by their residuals.
 #[derive(Clone, Copy, Debug)]
 pub(super) struct Spread {
-    /// In each of east and north.
-    horizontal_m: f64,
-    vertical_m: f64,
+    /// Of places that do not tell their own: in each of east and north, and vertical, metres.
+    untold_m: [f64; 2],
+    /// How many times as large as they tell, at least 1, the errors are of places that tell their own; `None` if there are
+    /// too few to judge, and they are taken as the others.
+    told: Option<[f64; 2]>,
 }
 
 impl Spread {
     fn of(places: &[Sighting], similarity: &Similarity) -> Self {
-        let off: Vec<(DVec3, bool)> =
-            places.iter().map(|place| (place.residual(similarity), place.has_height)).collect();
-        let horizontal = median(off.iter().map(|(off, _)| off.truncate().length()).collect());
-        let vertical =
-            median(off.iter().filter(|(_, has_height)| *has_height).map(|(off, _)| off.z.abs()).collect());
-        // A fit of few places swallows a part of their errors: each takes two of their degrees of freedom.
-        let lost = (places.len() as f64 / (places.len() as f64 - 2.0).max(0.5)).sqrt();
-        Self {
-            horizontal_m: SIGMA_PER_MEDIAN_2D * lost * horizontal,
-            vertical_m: SIGMA_PER_MEDIAN * lost * vertical,
-        }
+        let (told, untold): (Vec<&Sighting>, Vec<&Sighting>) = places.iter().partition(|place| place.is_told);
+        let judged = told.len() >= JUDGED_MIN;
+        // A few that do not tell must not judge themselves: all judge them.
+        let others = if judged && untold.len() >= JUDGED_MIN { untold } else { places.iter().collect() };
+        let told =
+            judged.then(|| scatter(&told, similarity, |place| place.sigma_m).map(|times| times.max(1.0)));
+        Self { untold_m: scatter(&others, similarity, |_| [1.0; 2]), told }
     }
 
-    /// Standard deviations of one place: horizontal and vertical.
+    /// Whether enough places tell their own, and have errors of at most so many times that.
+    pub(super) fn believes(&self, times: f64) -> bool {
+        self.told.is_some_and(|[horizontal, _]| horizontal <= times)
+    }
+
+    /// Standard deviations of one place: horizontal and vertical, metres.
     fn sigmas(&self, place: &Sighting) -> [f64; 2] {
-        [self.horizontal_m.max(place.sigma_m), self.vertical_m.max(place.sigma_m)]
+        let of = |axis: usize| match self.told {
+            Some(told) if place.is_told => told[axis] * place.sigma_m[axis],
+            _ => self.untold_m[axis].max(place.sigma_m[axis]),
+        };
+        [of(0), of(1)]
     }
 
     /// Whether a place agrees with most of the others.
@@ -78,6 +87,20 @@ impl Spread {
         let vertical = trust * weight(off.z / vertical_m) / (vertical_m * vertical_m);
         DVec3::new(horizontal, horizontal, if place.has_height { vertical } else { 0.0 })
     }
+}
+
+/// Standard deviations of residuals, horizontal and vertical, in these units of each place.
+fn scatter(places: &[&Sighting], similarity: &Similarity, unit_m: fn(&Sighting) -> [f64; 2]) -> [f64; 2] {
+    let off = |place: &Sighting| place.residual(similarity);
+    let horizontal = places.iter().map(|place| off(place).truncate().length() / unit_m(place)[0]);
+    let vertical = places.iter().filter(|place| place.has_height);
+    let vertical = vertical.map(|place| off(place).z.abs() / unit_m(place)[1]);
+    // A fit of few places swallows a part of their errors: each takes two of their degrees of freedom.
+    let lost = (places.len() as f64 / (places.len() as f64 - 2.0).max(0.5)).sqrt();
+    [
+        SIGMA_PER_MEDIAN_2D * lost * median(horizontal.collect()),
+        SIGMA_PER_MEDIAN * lost * median(vertical.collect()),
+    ]
 }
 
 /// What each of so many places of GPS is worth, compared to an independent one.

@@ -19,7 +19,7 @@ fn sighting(i: usize, error_m: DVec3) -> Sighting {
     let enu_m = DVec3::new(along as f64 * 15.0, line as f64 * 20.0, 45.0 + (i % 3) as f64);
     let truth = truth();
     let model = truth.rotation.inverse() * (enu_m - truth.translation) / truth.scale;
-    Sighting { model, enu_m: enu_m + error_m, has_height: true, sigma_m: 0.02 }
+    Sighting { model, enu_m: enu_m + error_m, has_height: true, sigma_m: [0.02; 2], is_told: false }
 }
 
 fn up(off_deg: f64, sigma_deg: f64) -> Up {
@@ -86,7 +86,7 @@ fn a_flight_that_is_thirty_metres_too_high_is_as_level_as_another() {
 fn control_points_outweigh_gps() {
     let gps: Vec<_> = (0..40).map(|i| sighting(i, DVec3::new(7.0, -4.0, 25.0) + noise(i, 3.0))).collect();
     let control: Vec<_> =
-        [0, 9, 30, 39].map(|i| Sighting { sigma_m: 0.05, ..sighting(i, noise(i, 0.02)) }).to_vec();
+        [0, 9, 30, 39].map(|i| Sighting { sigma_m: [0.05; 2], ..sighting(i, noise(i, 0.02)) }).to_vec();
     let fit = fit(&gps, &control, &up(3.0, 2.0)).unwrap();
     let off = fit.similarity.apply(sighting(20, DVec3::ZERO).model).distance(sighting(20, DVec3::ZERO).enu_m);
     assert!(off < 0.2, "{off} m");
@@ -101,7 +101,7 @@ fn one_of_four_control_points_that_is_wrong_is_told() {
     let control = |count: usize| {
         let mut control: Vec<_> = [0, 9, 30, 39, 20][..count]
             .iter()
-            .map(|i| Sighting { sigma_m: 0.05, ..sighting(*i, noise(*i, 0.02)) })
+            .map(|i| Sighting { sigma_m: [0.05; 2], ..sighting(*i, noise(*i, 0.02)) })
             .collect();
         control[1].enu_m.x += 2.0;
         control
@@ -137,9 +137,96 @@ fn too_little_is_refused() {
 fn a_mirrored_square_is_refused() {
     let corner = |x: f64, y: f64| {
         let model = truth().rotation.inverse() * DVec3::new(x, y, 0.0);
-        Sighting { model, enu_m: DVec3::new(-x, y, 0.0), has_height: true, sigma_m: 0.02 }
+        Sighting {
+            model,
+            enu_m: DVec3::new(-x, y, 0.0),
+            has_height: true,
+            sigma_m: [0.02; 2],
+            is_told: false,
+        }
     };
     let square = [corner(-50.0, -50.0), corner(-50.0, 50.0), corner(50.0, 50.0), corner(50.0, -50.0)];
     let error = fit(&square, &[], &up(0.0, 2.0)).unwrap_err().to_string();
     assert!(error.contains("contradict"), "{error}");
+}
+
+/// A place that tells this accuracy.
+fn told(i: usize, sigma_m: f64, error_m: DVec3) -> Sighting {
+    Sighting { sigma_m: [sigma_m, 2.0 * sigma_m], is_told: true, ..sighting(i, error_m) }
+}
+
+/// How far the middle of the flight is from where it is, metres.
+fn off_m(fit: &Fit) -> f64 {
+    let middle = sighting(20, DVec3::ZERO);
+    fit.similarity.apply(middle.model).distance(middle.enu_m)
+}
+
+#[test]
+fn places_with_a_fixed_solution_outweigh_the_others() {
+    // Three of four are off by the same 3 m, as GPS is within a flight; the fixed ones are off by 2 cm.
+    let wrong = DVec3::new(2.5, -1.5, 4.0);
+    let is_fixed = |i: usize| i.is_multiple_of(4);
+    let place = |i: usize| match is_fixed(i) {
+        true => told(i, 0.02, noise(i, 0.02)),
+        false => sighting(i, wrong + noise(i, 1.0)),
+    };
+    let gps: Vec<_> = (0..40).map(place).collect();
+    let with = fit(&gps, &[], &up(1.0, 2.0)).unwrap();
+    assert!(off_m(&with) < 0.1, "{} m", off_m(&with));
+    assert_eq!(with.residuals.unwrap().with_accuracy, 10);
+    assert!(
+        (0..40).all(|i| (with.gps[i].weight.x > 100.0 * with.gps[1].weight.x) == is_fixed(i)),
+        "{with:?}"
+    );
+    // Without what they tell, the crowd wins.
+    let untold: Vec<_> =
+        gps.iter().map(|its| Sighting { sigma_m: [0.02; 2], is_told: false, ..*its }).collect();
+    let without = fit(&untold, &[], &up(1.0, 2.0)).unwrap();
+    assert!(off_m(&without) > 2.0, "{} m", off_m(&without));
+    // Where the others tell how bad they are, it is the same.
+    let bad = |i: usize| {
+        if is_fixed(i) { gps[i] } else { told(i, 2.0, gps[i].enu_m - sighting(i, DVec3::ZERO).enu_m) }
+    };
+    let bad = fit(&(0..40).map(bad).collect::<Vec<_>>(), &[], &up(1.0, 2.0)).unwrap();
+    assert!(off_m(&bad) < 0.1, "{} m", off_m(&bad));
+}
+
+#[test]
+fn receivers_that_praise_themselves_are_not_believed() {
+    // All say 1 cm and are off by 3 m: they count as if they had told nothing.
+    let gps: Vec<_> = (0..40).map(|i| told(i, 0.01, noise(i, 3.0))).collect();
+    let praised = fit(&gps, &[], &up(1.0, 2.0)).unwrap();
+    let untold: Vec<_> = gps.iter().map(|its| Sighting { is_told: false, ..*its }).collect();
+    let plain = fit(&untold, &[], &up(1.0, 2.0)).unwrap();
+    assert!(
+        (praised.gps[20].weight / plain.gps[20].weight - 1.0).abs().max_element() < 0.2,
+        "{:?}",
+        praised.gps[20]
+    );
+    assert!((praised.uncertainty.horizontal_m / plain.uncertainty.horizontal_m - 1.0).abs() < 0.2);
+    // Three are too few to judge: they must not bend the fit to themselves.
+    let few: Vec<_> = (0..40)
+        .map(|i| if i < 3 { told(i, 0.01, DVec3::new(30.0, 0.0, 0.0)) } else { sighting(i, noise(i, 0.5)) })
+        .collect();
+    let few = fit(&few, &[], &up(1.0, 2.0)).unwrap();
+    assert!(off_m(&few) < 0.5 && few.gps[..3].iter().all(|its| !its.agrees), "{} m", off_m(&few));
+    // One that tells nothing among those that do is judged by them.
+    let one: Vec<_> = (0..40)
+        .map(
+            |i| if i == 7 { sighting(i, DVec3::new(500.0, 0.0, 0.0)) } else { told(i, 0.02, noise(i, 0.02)) },
+        )
+        .collect();
+    let one = fit(&one, &[], &up(1.0, 2.0)).unwrap();
+    assert!(!one.gps[7].agrees && one.residuals.unwrap().agreeing >= 38, "{:?}", one.residuals);
+}
+
+#[test]
+fn accuracies_of_any_size_keep_a_fit_finite() {
+    for sigma_m in [1e-9, 1e3] {
+        let gps: Vec<_> = (0..40).map(|i| told(i, sigma_m, noise(i, 1.0))).collect();
+        let fit = fit(&gps, &[], &up(1.0, 2.0)).unwrap();
+        assert!(
+            fit.similarity.translation.is_finite() && (fit.similarity.scale / TRUTH.scale - 1.0).abs() < 0.1
+        );
+    }
 }
