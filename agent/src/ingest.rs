@@ -27,6 +27,7 @@ mod recipe;
 mod reconstruction;
 mod settling;
 mod stages;
+mod straight;
 mod vertical;
 
 use std::fs;
@@ -153,6 +154,7 @@ fn ingest_given(
     let dataset = given.undistort(colmap, work, plan.max_size_px, tell)?;
     let (dataset, damaged) = given.without_damaged(dataset);
     tell_left_out(tell, &damaged);
+    tell_left_out(tell, given.left_out.as_slice());
     for masks in ["masks", "masks_inverted"].map(|name| plan.photographs.join(name)) {
         if masks.is_dir() {
             let reason =

@@ -14,21 +14,26 @@ const SIZE_PX: [u32; 2] = [400, 300];
 const FOCAL_PX: f64 = 330.0;
 /// Offset of the principal point from the middle, pixels.
 const CENTER_PX: DVec2 = DVec2::new(6.0, -4.0);
-/// K1, K2, K3, P1, P2 of Metashape.
-const LENS: [f64; 5] = [-0.11, 0.03, -0.004, 0.002, -0.003];
+/// K1, K2, K3, P1, P2, and K4, P3, P4, B1, B2 of Metashape: terms that COLMAP knows, and all.
+const LENSES: [[f64; 10]; 2] = [
+    [-0.11, 0.03, -0.004, 0.002, -0.003, 0.0, 0.0, 0.0, 0.0, 0.0],
+    [-0.11, 0.03, -0.004, 0.002, -0.003, 0.15, 2.0, -1.0, 3.0, -4.0],
+];
 
 /// Where Metashape's *frame* camera shows a point of the camera's frame (manual of Metashape Professional, appendix *Camera
 /// models*).
-fn shown(p: DVec3) -> DVec2 {
-    let [k1, k2, k3, p1, p2] = LENS;
+fn shown(lens: [f64; 10], p: DVec3) -> DVec2 {
+    let [k1, k2, k3, p1, p2, k4, p3, p4, b1, b2] = lens;
     let DVec2 { x, y } = p.truncate() / p.z;
     let r2 = x * x + y * y;
-    let radial = 1.0 + k1 * r2 + k2 * r2 * r2 + k3 * r2 * r2 * r2;
+    let radial = 1.0 + k1 * r2 + k2 * r2 * r2 + k3 * r2 * r2 * r2 + k4 * r2 * r2 * r2 * r2;
+    let growth = 1.0 + p3 * r2 + p4 * r2 * r2;
     let bent = DVec2::new(
-        x * radial + p1 * (r2 + 2.0 * x * x) + 2.0 * p2 * x * y,
-        y * radial + p2 * (r2 + 2.0 * y * y) + 2.0 * p1 * x * y,
+        x * radial + (p1 * (r2 + 2.0 * x * x) + 2.0 * p2 * x * y) * growth,
+        y * radial + (p2 * (r2 + 2.0 * y * y) + 2.0 * p1 * x * y) * growth,
     );
-    0.5 * DVec2::from(SIZE_PX.map(f64::from)) + CENTER_PX + FOCAL_PX * bent
+    let affine = DVec2::new(b1 * bent.x + b2 * bent.y, 0.0);
+    0.5 * DVec2::from(SIZE_PX.map(f64::from)) + CENTER_PX + FOCAL_PX * bent + affine
 }
 
 /// A black picture with a white disc at each position.
@@ -59,6 +64,10 @@ fn middle_of_light(picture: &Picture, near: DVec2) -> DVec2 {
 
 #[test]
 fn pictures_with_poses_of_metashape_are_undistorted() {
+    LENSES.into_iter().for_each(undistorts);
+}
+
+fn undistorts(lens: [f64; 10]) {
     if Command::new("colmap").arg("help").output().is_err() {
         return skip("REQUIRE_COLMAP", "colmap is not installed");
     }
@@ -75,7 +84,7 @@ fn pictures_with_poses_of_metashape_are_undistorted() {
             DVec3::new(0.0, 0.5 * x, 0.0),
             DVec3::new(0.1, 1.0, 0.0),
         );
-        let discs: Vec<DVec2> = points.iter().map(|point| shown(pose.transform(*point))).collect();
+        let discs: Vec<DVec2> = points.iter().map(|point| shown(lens, pose.transform(*point))).collect();
         picture(&discs).write_jpeg(&photographs.join(format!("DJI {i}.JPG")), 95).unwrap();
         let (r, c) = (DMat3::from_quat(pose.rotation), pose.center());
         let row = |axis: DVec3, at: f64| format!("{} {} {} {at} ", axis.x, axis.y, axis.z);
@@ -85,13 +94,16 @@ fn pictures_with_poses_of_metashape_are_undistorted() {
             r#"<camera id="{i}" sensor_id="0" label="DJI {i}"><transform>{matrix}</transform></camera>"#
         );
     }
-    let [k1, k2, k3, p1, p2] = LENS;
+    let [k1, k2, k3, p1, p2, k4, p3, p4, b1, b2] = lens;
     let xml = format!(
         r#"<document version="2.0.0"><chunk><sensors><sensor id="0" type="frame"><calibration class="adjusted">
         <resolution width="400" height="300"/><f>{FOCAL_PX}</f><cx>6</cx><cy>-4</cy><k1>{k1}</k1><k2>{k2}</k2><k3>{k3}</k3>
-        <p1>{p1}</p1><p2>{p2}</p2></calibration></sensor></sensors><cameras>{cameras}</cameras></chunk></document>"#
+        <p1>{p1}</p1><p2>{p2}</p2><k4>{k4}</k4><p3>{p3}</p3><p4>{p4}</p4><b1>{b1}</b1><b2>{b2}</b2></calibration></sensor></sensors><cameras>{cameras}</cameras></chunk></document>"#
     );
     fs::write(photographs.join("cameras.xml"), xml).unwrap();
+    let header = "ply\nformat ascii 1.0\nelement vertex 9\nproperty float x\nproperty float y\nproperty float z\nend_header\n";
+    let rows: String = points.iter().map(|p| format!("{} {} {}\n", p.x, p.y, p.z)).collect();
+    fs::write(photographs.join("tie points.ply"), format!("{header}{rows}")).unwrap();
     let run = Command::new(program("cosurf-agent"))
         .args(["ingest", "--out"])
         .args([&data, &photographs])
@@ -101,7 +113,8 @@ fn pictures_with_poses_of_metashape_are_undistorted() {
     let told = String::from_utf8_lossy(&run.stdout).into_owned();
     assert!(told.contains("3 of 3 photographs") && told.contains("the world is that of the poses"), "{told}");
 
-    let views = Dataset::open(&data).unwrap().views;
+    let Dataset { views, points: start } = Dataset::open(&data).unwrap();
+    assert_eq!(start.len(), points.len(), "tie points are the start of a training");
     assert_eq!(views.len(), 3);
     let mut seen = 0;
     for view in &views {

@@ -1,4 +1,4 @@
-//! Photographs whose poses another tool has found: COLMAP only undistorts them.
+//! Photographs whose poses another tool has found: they are only undistorted.
 //!
 //! What it knows nothing about: the formats of the other tools ([`cosurf_scene::Distorted`]).
 
@@ -7,22 +7,26 @@ use std::path::{Path, PathBuf};
 
 use cosurf_contract::{AgentEvent, IngestReport, IngestStage};
 use cosurf_geo::{Geodetic, Georeference, SiteFrame};
-use cosurf_scene::{Dataset, Distorted, Picture, Pose, SceneError, Shot, View, colmap};
+use cosurf_scene::{Dataset, Distorted, Picture, Pose, SceneError, Shot, SparsePoint, View, colmap};
 use glam::{DAffine3, DQuat};
 
-use super::IngestError;
 use super::colmap::Colmap;
 use super::photographs::reason;
 use super::placing::round_median;
 use super::stages::{Stage, Stages};
+use super::{IngestError, straight};
 
 /// The stage that undistorts, and where the dataset lies if the poses tell that.
 pub(super) struct Given {
     images: PathBuf,
     model: PathBuf,
-    count: usize,
+    /// Empty if COLMAP has the poses in its own files.
+    shots: Vec<Shot>,
     key: blake3::Hash,
+    points: Vec<SparsePoint>,
     pub(super) georeference: Option<Georeference>,
+    /// Name and reason of what is not used.
+    pub(super) left_out: Option<(String, String)>,
 }
 
 impl Given {
@@ -34,17 +38,19 @@ impl Given {
         match Distorted::open(folder)? {
             Distorted::Colmap { model, images } => {
                 let (model, images) = (absolute(&model)?, absolute(&images)?);
-                Ok(Self { images, model, count: 0, key: blake3::hash(b"colmap"), georeference: beside })
+                let key = blake3::hash(b"colmap");
+                let (shots, points) = (Vec::new(), Vec::new());
+                Ok(Self { images, model, shots, key, points, georeference: beside, left_out: None })
             }
-            Distorted::Shots { images, mut shots, is_geocentric } => {
+            Distorted::Shots { images, mut shots, is_geocentric, points, unused } => {
                 let georeference = match is_geocentric {
                     true => Some(move_to_site(&mut shots, origin)?),
                     false => beside,
                 };
                 let model = absolute(work)?.join("given");
-                colmap::write_shots(&model, &shots)?;
-                let (count, key) = (shots.len(), key_of(&shots)?);
-                Ok(Self { images: absolute(&images)?, model, count, key, georeference })
+                let (images, key) = (absolute(&images)?, key_of(&shots)?);
+                let left_out = unused.map(|(path, reason)| (path.display().to_string(), reason));
+                Ok(Self { images, model, shots, key, points, georeference, left_out })
             }
         }
     }
@@ -57,15 +63,19 @@ impl Given {
         max_size_px: u32,
         tell: &mut dyn FnMut(AgentEvent),
     ) -> Result<Dataset, IngestError> {
+        let (images, shots) = straight::prepare(&self.shots, &self.images, work, &self.key, tell)?;
+        if !shots.is_empty() {
+            colmap::write_shots(&self.model, &shots)?;
+        }
         let folder = work.join("undistorted");
         let options = [
-            (&["image_path"][..], (&self.images).into()),
+            (&["image_path"][..], images.into()),
             (&["input_path"], (&self.model).into()),
             (&["output_path"], (&folder).into()),
             (&["output_type"], "COLMAP".into()),
             (&["max_image_size"], max_size_px.to_string().into()),
         ];
-        let commands = vec![(colmap.command("image_undistorter", &options)?, self.count)];
+        let commands = vec![(colmap.command("image_undistorter", &options)?, shots.len())];
         let files =
             ["cameras.bin", "images.bin", "cameras.txt", "images.txt"].map(|name| self.model.join(name));
         let inputs = files.into_iter().filter(|file| file.is_file()).collect();
@@ -73,7 +83,9 @@ impl Given {
         let stage =
             Stage { kind: IngestStage::Undistorting, commands, inputs, removed: folders.clone(), folders };
         Stages::new(colmap, work, self.key, tell).run(&stage)?;
-        Ok(Dataset::open_within(&folder, usize::MAX)?.0)
+        let (mut dataset, _) = Dataset::open_within(&folder, usize::MAX)?;
+        dataset.points.extend_from_slice(&self.points);
+        Ok(dataset)
     }
 
     /// The dataset without pictures whose photographs are damaged: COLMAP makes grey ones of them. Also returns the names of
@@ -93,17 +105,20 @@ impl Given {
     /// What was made of it.
     pub(super) fn report(&self, dataset: &Dataset) -> IngestReport {
         let (posed, points) = (dataset.views.len(), dataset.points.len());
-        let photographs = self.count.max(posed);
+        let photographs = self.shots.len().max(posed);
         IngestReport { photographs, posed, points, georeferenced: self.georeference.is_some() }
     }
 }
 
-/// Hash of the pictures by their names, sizes and times of change.
+/// Hash of the pictures by their names, sizes, times of change, and lenses that COLMAP does not know.
 fn key_of(shots: &[Shot]) -> Result<blake3::Hash, IngestError> {
     let mut hasher = blake3::Hasher::new();
-    for Shot { name, path, .. } in shots {
+    for Shot { name, path, lens, .. } in shots {
         let metadata = fs::metadata(path).map_err(|cause| SceneError::io(path, cause))?;
         hasher.update(format!("{name:?} {} {:?}\n", metadata.len(), metadata.modified().ok()).as_bytes());
+        if !lens.is_known_to_colmap() {
+            hasher.update(format!("{lens:?}\n").as_bytes());
+        }
     }
     Ok(hasher.finalize())
 }
@@ -155,6 +170,8 @@ mod tests {
             count: 4,
             key: blake3::hash(b""),
             georeference: None,
+            points: Vec::new(),
+            left_out: None,
         };
         let (dataset, left_out) = given.without_damaged(dataset);
         let names: Vec<&str> = dataset.views.iter().map(|view| &*view.name).collect();

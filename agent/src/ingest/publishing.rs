@@ -111,7 +111,7 @@ fn write_pictures<'a>(
 }
 
 /// A second name for a file, or a copy where the disk has no second names.
-fn link_or_copy(from: &Path, to: &Path) -> io::Result<()> {
+pub(super) fn link_or_copy(from: &Path, to: &Path) -> io::Result<()> {
     fs::hard_link(from, to).or_else(|_| fs::copy(from, to).map(|_| ()))
 }
 

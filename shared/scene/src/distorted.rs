@@ -10,7 +10,13 @@ use std::path::{Path, PathBuf};
 use crate::layout::Layout;
 use crate::lens::Lens;
 use crate::loader::{fit_camera, inner_name, refuse_missing};
-use crate::{SceneError, Shot, View, colmap, files, metashape, realitycapture, transforms};
+use crate::sieve::Sieve;
+use crate::{
+    SceneError, Shot, SparsePoint, View, colmap, files, metashape, realitycapture, tie_points, transforms,
+};
+
+/// Most that sparse points take, bytes: about two million points. Of more, every second one is left out, and so on.
+const POINTS_BYTES_MAX: usize = 256 << 20;
 
 /// Pictures with poses, and lenses that may be distorted.
 #[derive(Clone, Debug, PartialEq)]
@@ -30,6 +36,10 @@ pub enum Distorted {
         shots: Vec<Shot>,
         /// Whether the world is the earth-centred, earth-fixed frame (ECEF), metres.
         is_geocentric: bool,
+        /// Sparse points beside the export, without tracks; empty if there are none.
+        points: Vec<SparsePoint>,
+        /// A file of points that are not used, and the reason.
+        unused: Option<(PathBuf, String)>,
     },
 }
 
@@ -38,6 +48,7 @@ impl Distorted {
     /// folder that holds it. Shots are checked as [`crate::Dataset::open`] checks views. A COLMAP model is only found.
     pub fn open(path: &Path) -> Result<Self, SceneError> {
         let root = files::folder_of(path);
+        let (mut sieve, mut unused) = (Sieve::new(POINTS_BYTES_MAX), None);
         let local = |(images, shots)| (images, shots, false);
         let (images, shots, is_geocentric) = match Layout::of(path)? {
             Layout::Colmap(model) => {
@@ -46,7 +57,9 @@ impl Distorted {
             }
             Layout::Transforms(file) => local((root.to_owned(), transforms::shots(&file)?)),
             Layout::Metashape(file) => {
-                let metashape::Cameras { shots, is_geocentric } = metashape::read(&file)?;
+                let cameras = metashape::read(&file)?;
+                unused = tie_points::read_into(&mut sieve, &file, &cameras);
+                let metashape::Cameras { shots, is_geocentric } = cameras;
                 (crate::shot::picture_folder(&file), shots, is_geocentric)
             }
             Layout::RealityCaptureCsv(file) => {
@@ -62,7 +75,7 @@ impl Distorted {
             }
         };
         let shots = checked(path, &images, shots)?;
-        Ok(Self::Shots { images, shots, is_geocentric })
+        Ok(Self::Shots { images, shots, is_geocentric, points: sieve.end().0, unused })
     }
 }
 

@@ -1,11 +1,15 @@
 //! Lenses with distortion, as the exports of other tools have them.
 //!
-//! What it knows nothing about: files, and how a picture is undistorted.
+//! What it knows nothing about: files.
+
+mod brown;
+mod straight;
 
 use glam::DVec2;
 
 use crate::error::Refusal;
 use crate::{Camera, Pose};
+pub use brown::FullBrown;
 
 /// Largest accepted width or height of a picture, pixels.
 const SIDE_PX_MAX: u32 = 1 << 20;
@@ -33,6 +37,8 @@ pub enum Distortion {
         /// p1, p2.
         tangential: [f64; 2],
     },
+    /// The same with terms that no model of COLMAP has; one of them is not 0.
+    FullBrown(FullBrown),
     /// COLMAP's `OPENCV_FISHEYE`: k1 to k4, factors of powers of the angle from the optical axis.
     Fisheye([f64; 4]),
 }
@@ -41,8 +47,18 @@ impl Distortion {
     /// That of a pinhole.
     pub(crate) const NONE: Self = Self::Brown { radial: [0.0; 3], tangential: [0.0; 2] };
 
+    /// As COLMAP's model if that has all the terms.
+    pub(crate) fn brown(full: FullBrown) -> Self {
+        let FullBrown { radial: [k1, k2, k3, k4], tangential, growth, skew } = full;
+        match (k4, growth, skew) == (0.0, [0.0; 2], 0.0) {
+            true => Self::Brown { radial: [k1, k2, k3], tangential },
+            false => Self::FullBrown(full),
+        }
+    }
+
     fn is_finite(&self) -> bool {
         match self {
+            Self::FullBrown(full) => full.is_finite(),
             Self::Brown { radial, tangential } => radial.iter().chain(tangential).all(|k| k.is_finite()),
             Self::Fisheye(k) => k.iter().all(|k| k.is_finite()),
         }
@@ -68,6 +84,11 @@ impl Lens {
     /// Whether the lens bends, so that its pictures are not those of a pinhole.
     pub(crate) fn is_distorted(&self) -> bool {
         self.distortion != Distortion::NONE
+    }
+
+    /// Whether COLMAP has a model of the lens, so that it can undistort its pictures.
+    pub fn is_known_to_colmap(&self) -> bool {
+        !matches!(self.distortion, Distortion::FullBrown(_))
     }
 
     /// The pinhole camera with these focal lengths.

@@ -10,7 +10,7 @@ use crate::layout::Layout;
 use crate::sieve::Sieve;
 use crate::{
     Camera, Dataset, Picture, SceneError, Shot, View, advice, camera_list, colmap, files, leftovers,
-    mask_files, metashape, opensfm, realitycapture, transforms,
+    mask_files, metashape, opensfm, realitycapture, tie_points, transforms,
 };
 
 /// Reason in the error for a dataset without views.
@@ -21,9 +21,9 @@ const NOTES_POINTS_BYTES: usize = 4 << 20;
 
 impl Dataset {
     /// Opens a COLMAP model, a `transforms.json`, a `reconstruction.json` of OpenSfM, or the cameras of Metashape (XML) or
-    /// RealityCapture (CSV or XMP). For all but COLMAP's, `path` is the file or its folder. For a COLMAP model, `path` is the model's folder, or a folder with the model in
-    /// `sparse/0`, `sparse` or `0`. COLMAP's pictures are in `path/images`, in a folder `images`
-    /// beside the model's folder or one level further up, or in `path` itself.
+    /// RealityCapture (CSV or XMP). For all but COLMAP's, `path` is the file or its folder. For a COLMAP model, `path` is the
+    /// model's folder, or a folder with the model in `sparse/0`, `sparse` or `0`. COLMAP's pictures are in `path/images`, in
+    /// a folder `images` beside the model's folder or one level further up, or in `path` itself.
     ///
     /// Reads the header of every picture. If a picture has another size than its camera but the same
     /// aspect ratio, the camera is rescaled. Errors: a dataset that cannot be read or has no pictures;
@@ -77,6 +77,7 @@ impl Dataset {
         let dataset = read(path, NOTES_POINTS_BYTES).ok().map(|(dataset, _)| dataset);
         let mut notes = leftovers::of(path, dataset.as_ref().and_then(|dataset| dataset.views.first()));
         notes.extend(dataset.iter().flat_map(mask_files::notes));
+        notes.extend(tie_points::note(path));
         notes
     }
 
@@ -141,7 +142,12 @@ fn read_into(sieve: &mut Sieve, path: &Path) -> Result<Vec<View>, SceneError> {
         Layout::Transforms(file) => transforms::read(&file, sieve),
         Layout::OpenSfm(file) => opensfm::read(&file, sieve),
         Layout::CameraList(file) => camera_list::read_views(&file),
-        Layout::Metashape(file) => views(metashape::read(&file)?.shots, &file),
+        Layout::Metashape(file) => {
+            let cameras = metashape::read(&file)?;
+            // `notes` tells of points that are not used.
+            tie_points::read_into(sieve, &file, &cameras);
+            views(cameras.shots, &file)
+        }
         Layout::RealityCaptureCsv(file) => views(realitycapture::read_csv(&file)?, &file),
         Layout::RealityCaptureXmp(files) => views(realitycapture::read_xmp(&files)?, path),
     }

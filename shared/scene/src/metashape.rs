@@ -13,7 +13,7 @@ use glam::{DMat3, DQuat, DVec2, DVec3};
 use roxmltree::{Document, Node};
 
 use crate::error::Refusal;
-use crate::lens::{Distortion, Lens};
+use crate::lens::{Distortion, FullBrown, Lens};
 use crate::rotation::{from_rows, is_rotation};
 use crate::shot::{Shot, find_picture, picture_folder};
 use crate::xml::{attribute, child, numbers, text, value};
@@ -140,22 +140,20 @@ fn lens(sensor: Node) -> Result<Lens, Refusal> {
         text.parse::<u32>().map_err(|_| Refusal::from("its resolution is not two whole numbers"))
     };
     let size_px = [side("width")?, side("height")?];
-    let unused = ["k4", "p3", "p4", "b2"].into_iter().filter(|name| kind == "frame" || *name != "k4");
-    for name in unused {
-        if of(name)? != 0.0 {
-            return Err(format!(
-                "the coefficient {name} of its lens is not supported; let Metashape optimise the cameras without it, or export undistorted photographs"
-            )
-            .into());
-        }
-    }
-    let (k, p) = ([of("k1")?, of("k2")?, of("k3")?, of("k4")?], [of("p1")?, of("p2")?]);
+    let radial = [of("k1")?, of("k2")?, of("k3")?, of("k4")?];
+    let [p1, p2, p3, p4, b2] = [of("p1")?, of("p2")?, of("p3")?, of("p4")?, of("b2")?];
+    let focal_px = DVec2::new(of("f")? + of("b1")?, of("f")?);
     let distortion = match kind {
-        "frame" => Distortion::Brown { radial: [k[0], k[1], k[2]], tangential: [p[1], p[0]] },
-        "fisheye" if p == [0.0; 2] => Distortion::Fisheye(k),
+        "frame" => {
+            let (tangential, growth, skew) = ([p2, p1], [p3, p4], b2 / focal_px.x);
+            Distortion::brown(FullBrown { radial, tangential, growth, skew })
+        }
+        "fisheye" if [p1, p2, p3, p4, b2] == [0.0; 5] => Distortion::Fisheye(radial),
+        "fisheye" => {
+            return Err("a coefficient p1 to p4 or b2 of its fisheye is not supported; let Metashape optimise the cameras without it, or export undistorted photographs".into());
+        }
         _ => return Err(format!("its lens of the type {} is not supported", kind.escape_debug()).into()),
     };
-    let focal = of("f")?;
     let center_px = 0.5 * DVec2::from(size_px.map(f64::from)) + DVec2::new(of("cx")?, of("cy")?);
-    Lens { focal_px: DVec2::new(focal + of("b1")?, focal), center_px, size_px, distortion }.checked()
+    Lens { focal_px, center_px, size_px, distortion }.checked()
 }

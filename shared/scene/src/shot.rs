@@ -6,10 +6,13 @@ use std::path::{Path, PathBuf};
 
 use crate::error::Refusal;
 use crate::lens::Lens;
-use crate::{Pose, SceneError, View, files};
+use crate::{Picture, Pose, SceneError, View, files};
 
 /// Extensions to append if a name names no file: many tools leave the extension out.
 const EXTENSIONS: [&str; 9] = ["png", "jpg", "jpeg", "webp", "tif", "tiff", "bmp", "JPG", "PNG"];
+
+/// Quality of JPEGs that COLMAP compresses again: their loss is below that of a photograph.
+const STRAIGHT_QUALITY: u8 = 98;
 
 /// A picture with its pose and its lens.
 #[derive(Clone, Debug, PartialEq)]
@@ -25,6 +28,31 @@ pub struct Shot {
 }
 
 impl Shot {
+    /// The shot as it is without the distortion of a lens that COLMAP does not know, with its picture in `folder`, which
+    /// [`Self::write_straight`] writes. `None` if COLMAP can undistort the picture.
+    pub fn straight(&self, folder: &Path) -> Result<Option<Self>, SceneError> {
+        if self.lens.is_known_to_colmap() {
+            return Ok(None);
+        }
+        let lens = self.lens.straight().map_err(|refusal| refusal.of(&self.path))?;
+        // The extension tells COLMAP the format.
+        let name = match is_jpeg(&self.name) || has_extension(&self.name, "png") {
+            true => self.name.clone(),
+            false => format!("{}.png", self.name),
+        };
+        Ok(Some(Self { path: folder.join(&name), name, lens, cam_from_world: self.cam_from_world }))
+    }
+
+    /// Writes the picture of `straight`, which [`Self::straight`] returned.
+    pub fn write_straight(&self, straight: &Self) -> Result<(), SceneError> {
+        let picture = Picture::read_fitted(&self.path, self.lens.size_px)?;
+        let picture = self.lens.straightened(&picture, &straight.lens);
+        match is_jpeg(&straight.name) {
+            true => picture.write_jpeg(&straight.path, STRAIGHT_QUALITY),
+            false => picture.write_png(&straight.path),
+        }
+    }
+
     /// The view, if the lens is that of a pinhole. `file` names the export in the refusal.
     pub(crate) fn into_view(self, file: &Path) -> Result<View, SceneError> {
         if self.lens.is_distorted() {
@@ -33,6 +61,14 @@ impl Shot {
         let camera = self.lens.pinhole(self.cam_from_world);
         Ok(View { name: self.name, camera, path: self.path, mask: None })
     }
+}
+
+fn is_jpeg(name: &str) -> bool {
+    has_extension(name, "jpg") || has_extension(name, "jpeg")
+}
+
+fn has_extension(name: &str, extension: &str) -> bool {
+    Path::new(name).extension().is_some_and(|found| found.eq_ignore_ascii_case(extension))
 }
 
 /// The refusal of a distorted lens, with what undistorts it.

@@ -29,7 +29,7 @@ pub fn write(root: &Path, dataset: &Dataset) -> Result<(), SceneError> {
 }
 
 /// Writes shots as a binary model without points into a folder, which is created, for COLMAP's undistorter. Each shot has a
-/// camera of its own.
+/// camera of its own. Errors: a lens that COLMAP does not know.
 pub fn write_shots(model: &Path, shots: &[Shot]) -> Result<(), SceneError> {
     fs::create_dir_all(model).map_err(|cause| SceneError::io(model, cause))?;
     atomic::write(&model.join("cameras.bin"), |out| write_lenses(out, shots))?;
@@ -42,10 +42,13 @@ fn write_lenses(out: &mut Out, shots: &[Shot]) -> io::Result<()> {
     for (id, Shot { lens, .. }) in (1_u32..).zip(shots) {
         let pinhole = [lens.focal_px.to_array(), lens.center_px.to_array()].concat();
         let (model, coefficients) = match lens.distortion {
+            // Of another model without distortion, COLMAP copies the picture, but gives it a camera of another size.
+            Distortion::NONE => (PINHOLE, Vec::new()),
             Distortion::Fisheye(k) => (OPENCV_FISHEYE, k.to_vec()),
             Distortion::Brown { radial: [k1, k2, k3], tangential: [p1, p2] } => {
                 (FULL_OPENCV, vec![k1, k2, p1, p2, k3, 0.0, 0.0, 0.0])
             }
+            Distortion::FullBrown(_) => return Err(io::Error::other("COLMAP does not know this lens")),
         };
         put_u32s(out, &[id, model])?;
         for side in lens.size_px {

@@ -8,7 +8,7 @@ use glam::{DMat3, DQuat, DVec2, DVec3};
 use tempfile::TempDir;
 
 use super::*;
-use crate::{Dataset, Distortion, Picture, Pose};
+use crate::{Dataset, Distortion, FullBrown, Picture, Pose};
 
 /// Two drones' cameras that look down and ahead, in a folder with pictures of 80 × 60 pixels in `images`.
 struct Export {
@@ -45,7 +45,7 @@ impl Export {
 
     fn open(&self) -> Result<(Vec<Shot>, bool), SceneError> {
         match Distorted::open(self.folder.path())? {
-            Distorted::Shots { images, shots, is_geocentric } => {
+            Distorted::Shots { images, shots, is_geocentric, .. } => {
                 assert!(shots.iter().all(|shot| images.join(&shot.name) == shot.path));
                 Ok((shots, is_geocentric))
             }
@@ -161,20 +161,117 @@ fn metashape_tells_where_its_world_is() {
 }
 
 #[test]
-fn lenses_that_metashape_bends_further_are_refused() {
+fn all_terms_of_metashapes_frame_cameras_are_read() {
     let export = Export::new();
     let of = |more: &str| {
         let placed = (1.0, DQuat::IDENTITY, DVec3::ZERO);
         export.write("cameras.xml", &metashape(&export.poses, placed, "", more));
-        export.complaint()
     };
-    for name in ["k4", "p3", "p4", "b2"] {
-        let error = of(&format!("<{name}>1e-5</{name}>"));
-        assert!(error.contains(&format!("coefficient {name}")) && error.contains("a b.JPG"), "{error}");
+    let full = FullBrown {
+        radial: [-0.1, 0.02, 0.003, -0.004],
+        tangential: [-0.0005, 0.0004],
+        growth: [0.3, -0.2],
+        skew: -1.9 / 152.0,
+    };
+    of("<k4>-0.004</k4><p3>0.3</p3><p4>-0.2</p4><b2>-1.9</b2>");
+    let lens = Lens {
+        focal_px: DVec2::new(76.0, 75.0),
+        center_px: DVec2::new(41.5, 29.0),
+        size_px: [80, 60],
+        distortion: Distortion::FullBrown(full),
+    };
+    let (shots, _) = export.open().unwrap();
+    export.check(&shots, &lens);
+    assert!(Dataset::open(export.folder.path()).unwrap_err().to_string().contains("cosurf-agent ingest"));
+    for (term, alone) in [
+        ("k4", FullBrown { radial: [-0.1, 0.02, 0.003, 1e-5], ..FullBrown::default() }),
+        ("p3", FullBrown { growth: [1e-5, 0.0], ..FullBrown::default() }),
+        ("p4", FullBrown { growth: [0.0, 1e-5], ..FullBrown::default() }),
+        ("b2", FullBrown { skew: 1e-5 / 152.0, ..FullBrown::default() }),
+    ] {
+        of(&format!("<{term}>1e-5</{term}>"));
+        let radial = if term == "k4" { alone.radial } else { [-0.1, 0.02, 0.003, 0.0] };
+        let wanted = FullBrown { radial, tangential: [-0.0005, 0.0004], ..alone };
+        let found = export.open().unwrap().0[0].lens;
+        assert_eq!(found.distortion, Distortion::FullBrown(wanted), "{term}");
+        assert!(!found.is_known_to_colmap());
     }
-    assert!(of("<k4>nan</k4>").contains("finite"));
+    of("<k4>0</k4><b2>0</b2>");
+    assert!(export.open().unwrap().0[0].lens.is_known_to_colmap());
+    for wrong in ["nan", "1e999", "x"] {
+        of(&format!("<k4>{wrong}</k4>"));
+        assert!(export.complaint().contains("finite"), "{wrong}: {}", export.complaint());
+    }
     export.write("cameras.xml", r#"<!DOCTYPE d [<!ENTITY a "aaa">]><document><chunk>&a;</chunk></document>"#);
     assert!(export.complaint().contains("not valid XML"));
+}
+
+#[test]
+fn fisheyes_with_terms_that_colmap_lacks_are_refused() {
+    let export = Export::new();
+    let placed = (1.0, DQuat::IDENTITY, DVec3::ZERO);
+    let fisheye = metashape(&export.poses, placed, "", "").replace("\"frame\"", "\"fisheye\"");
+    export.write("cameras.xml", &fisheye);
+    assert!(export.complaint().contains("p1 to p4 or b2 of its fisheye"), "{}", export.complaint());
+    export.write("cameras.xml", &fisheye.replace("fisheye", "spherical"));
+    assert!(export.complaint().contains("type spherical"), "{}", export.complaint());
+}
+
+/// Points about the place that the cameras look at, as Metashape's *Export Tie Points* writes them.
+fn tie_points(by: DVec3) -> String {
+    let header = "ply\nformat ascii 1.0\nelement vertex 4\nproperty float x\nproperty float y\nproperty float z\n\
+        property uchar red\nproperty uchar green\nproperty uchar blue\nend_header\n";
+    let points = [[10.0, 20.0], [12.0, 21.0], [8.0, 19.0], [10.0, 22.0]];
+    let rows = points.map(|[x, y]| {
+        let at = DVec3::new(x, y, 0.0) + by;
+        format!("{} {} {} 10 20 30\n", at.x, at.y, at.z)
+    });
+    format!("{header}{}", rows.concat())
+}
+
+#[test]
+fn tie_points_beside_the_cameras_of_metashape_are_read() {
+    let export = Export::new();
+    let placed = (2.0, DQuat::IDENTITY, DVec3::ZERO);
+    let points = || match Distorted::open(export.folder.path()).unwrap() {
+        Distorted::Shots { points, unused, .. } => (points, unused.map(|(_, reason)| reason)),
+        other => panic!("{other:?}"),
+    };
+    export.write("cameras.xml", &metashape(&export.poses, placed, "LOCAL_CS[]", ""));
+    assert_eq!(points(), (Vec::new(), None));
+    export.write("sparse cloud.ply", &tie_points(DVec3::ZERO));
+    let (found, unused) = points();
+    assert_eq!(
+        (found.len(), found[1].position, found[1].rgb),
+        (4, DVec3::new(12.0, 21.0, 0.0), [10, 20, 30])
+    );
+    assert_eq!(unused, None);
+    export.write("cameras.ply", &tie_points(DVec3::Z));
+    assert_eq!(points().0[0].position.z, 1.0, "of several, the one of the same name");
+    let notes = || Dataset::notes(export.folder.path());
+    assert_eq!(notes(), [""; 0]);
+    for (text, told) in [
+        (tie_points(DVec3::new(4e5, 5e6, 0.0)), "most are not where the cameras look"),
+        (tie_points(DVec3::ZERO).replace("12 21", "nan 21"), "not finite"),
+        ("ply\nformat".to_owned(), "its points are not used"),
+    ] {
+        export.write("cameras.ply", &text);
+        let (found, unused) = points();
+        let reason = unused.unwrap();
+        assert!(found.is_empty() && reason.contains(told), "{reason}");
+        assert!(
+            notes().iter().any(|note| note.contains("cameras.ply: ") && note.contains(told)),
+            "{:?}",
+            notes()
+        );
+    }
+    export.write("cameras.ply", &tie_points(DVec3::ZERO));
+    export.write("cameras.xml", &metashape(&export.poses, placed, "GEOGCS[&quot;WGS 84&quot;]", ""));
+    assert!(points().1.unwrap().contains("earth-centred"), "a PLY does not say what its numbers are");
+    export.write("cameras.xml", &metashape(&export.poses, placed, "", ""));
+    fs::remove_file(export.folder.path().join("cameras.ply")).unwrap();
+    export.write("mesh.ply", &tie_points(DVec3::ZERO));
+    assert_eq!(points(), (Vec::new(), None), "two files, and none has the name of the cameras");
 }
 
 /// The line of a camera by the formula of the module `csv`, solved for the angles.
