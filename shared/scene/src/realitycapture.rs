@@ -1,9 +1,8 @@
 //! Reads the cameras of RealityCapture and RealityScan: *Internal/External camera parameters* (CSV), and the XMP files that
 //! it writes beside the photographs.
 //!
-//! Both give lengths of the picture for a film of 36 mm along the longer side ("RealityCapture XMP Camera Math", Epic Games).
-//! Lenses of its models without distortion and with the radial coefficients k1 to k3 (*Brown3*, its default) are read; the
-//! order of its tangential coefficients is not documented, so lenses that have some are refused.
+//! Both give focal lengths for a film of 36 mm along the longer side, and the principal point as a share of that side
+//! ("RealityCapture XMP Camera Math", Epic Games). Lenses without distortion and of all of Brown's models are read.
 //!
 //! What it knows nothing about: coordinate systems; the world is that of the export.
 

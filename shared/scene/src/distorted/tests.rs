@@ -283,10 +283,10 @@ fn csv_line(name: &str, pose: &Pose) -> String {
     let heading = upright.y_axis.x.atan2(upright.y_axis.y);
     let [heading, pitch, roll] = [heading, pitch, roll].map(f64::to_degrees);
     let DVec3 { x, y, z } = pose.center();
-    format!("{name},{x},{y},{z},{heading},{pitch},{roll},33.75,0.9,-0.45,-0.1,0.02,0.003,0,0,0\n")
+    format!("{name},{x},{y},{z},{heading},{pitch},{roll},33.75,0.025,-0.0125,-0.1,0.02,0.003,0,0,0\n")
 }
 
-/// 33.75 mm of 36 mm on 80 pixels; the principal point 0.9 mm to the right and 0.45 mm above the middle.
+/// 33.75 mm of 36 mm on 80 pixels; the principal point 2 pixels to the right of the middle and 1 above.
 fn film_lens() -> Lens {
     Lens {
         focal_px: DVec2::splat(75.0),
@@ -296,6 +296,17 @@ fn film_lens() -> Lens {
     }
 }
 
+/// With t1 = 0.0004 and t2 = -0.0005, which are p2 and p1 of OpenCV.
+fn with_tangential(k4: f64) -> Lens {
+    let tangential = [-0.0005, 0.0004];
+    let full = FullBrown { radial: [-0.1, 0.02, 0.003, k4], tangential, ..FullBrown::default() };
+    let distortion = match k4 == 0.0 {
+        true => brown([-0.1, 0.02, 0.003], tangential),
+        false => Distortion::FullBrown(full),
+    };
+    Lens { distortion, ..film_lens() }
+}
+
 #[test]
 fn cameras_of_realitycapture_are_found_again_in_csv() {
     let export = Export::new();
@@ -303,8 +314,19 @@ fn cameras_of_realitycapture_are_found_again_in_csv() {
     let lines: String = NAMES.iter().zip(&export.poses).map(|(name, pose)| csv_line(name, pose)).collect();
     export.write("registration.csv", &format!("{header}{lines}\n"));
     export.check(&export.open().unwrap().0, &film_lens());
-    export.write("registration.csv", &format!("{header}{}", lines.replace(",0,0,0\n", ",0,1e-4,0\n")));
-    assert!(export.complaint().contains("line 3: its lens has a fourth radial or a tangential"));
+    let renamed = header.replace("heading", "yaw").replace(",f,px,py,", ",f_35mm,px_norm,py_norm,");
+    export.write("registration.csv", &format!("{renamed}{lines}"));
+    export.check(&export.open().unwrap().0, &film_lens());
+    export
+        .write("registration.csv", &format!("{header}{}", lines.replace(",0,0,0\n", ",0,0.0004,-0.0005\n")));
+    export.check(&export.open().unwrap().0, &with_tangential(0.0));
+    export.write(
+        "registration.csv",
+        &format!("{header}{}", lines.replace(",0,0,0\n", ",0.01,0.0004,-0.0005\n")),
+    );
+    export.check(&export.open().unwrap().0, &with_tangential(0.01));
+    export.write("registration.csv", &format!("{header}{}", lines.replace(",0,0,0\n", ",0,nan,0\n")));
+    assert!(export.complaint().contains("line 3: 'nan' is not a finite number"), "{}", export.complaint());
     export.write("registration.csv", &format!("{header}{}", lines.replace("33.75", "x")));
     assert!(export.complaint().contains("'x' is not a finite number"));
     export.write("registration.csv", &format!("{header}{}", lines.replace("a b", "../images/a b")));
@@ -331,6 +353,15 @@ fn cameras_of_realitycapture_are_found_again_in_xmp() {
     }
     assert!(Dataset::has_poses(export.folder.path()));
     export.check(&export.open().unwrap().0, &film_lens());
+    for (model, k4) in [("brown3t2", 0.0), ("brown4t2", 0.01)] {
+        let tangential = format!("-0.1 0.02 0.003 {k4} 0.0004 -0.0005");
+        for (name, pose) in ["images/a b.xmp", "images/ü.XMP"].iter().zip(&export.poses) {
+            export.write(name, &xmp(pose, model).replace("-0.1 0.02 0.003 0 0 0", &tangential));
+        }
+        export.check(&export.open().unwrap().0, &with_tangential(k4));
+    }
+    export.write("images/ü.XMP", &xmp(&export.poses[1], "rationalP2D1T2"));
+    assert!(export.complaint().contains("the model 'rationalP2D1T2' of its lens is not supported"));
     export.write("images/ü.XMP", &xmp(&export.poses[1], "division"));
     assert!(export.complaint().contains("the model 'division' of its lens is not supported"));
     export.write("images/ü.XMP", "<x/>");

@@ -1,7 +1,8 @@
 //! The CSV file *Internal/External camera parameters*: a line with the names of the columns, then a line for each picture.
 //!
 //! The columns `heading`, `pitch` and `roll`, degrees, turn a camera that looks down with its upper side to the north:
-//! `world_from_cam = Rz(-heading) Rx(pitch) Ry(roll)` for a camera with x right, y up and z backward.
+//! `world_from_cam = Rz(-heading) Rx(pitch) Ry(roll)` for a camera with x right, y up and z backward. `f` is in millimetres;
+//! `px` and `py` are shares of the longer side, as RealityScan's newer names for the same columns say.
 
 use std::path::Path;
 
@@ -16,6 +17,9 @@ use crate::{Pose, SceneError, xml};
 const NEEDED: [&str; 8] = ["#name", "x", "y", "alt", "heading", "pitch", "roll", "f"];
 /// Columns that are 0 if they are not there.
 const OPTIONAL: [&str; 8] = ["px", "py", "k1", "k2", "k3", "k4", "t1", "t2"];
+/// Names that RealityScan 2 gives to columns.
+const RENAMED: [(&str, &str); 4] =
+    [("heading", "yaw"), ("f", "f_35mm"), ("px", "px_norm"), ("py", "py_norm")];
 
 /// Whether a file's beginning is that of such a file.
 pub(super) fn is_one(head: &str) -> bool {
@@ -53,7 +57,10 @@ struct Columns {
 impl Columns {
     fn of(header: &str) -> Result<Self, Refusal> {
         let names: Vec<&str> = header.trim_start_matches('\u{FEFF}').split(',').map(str::trim).collect();
-        let place = |name: &str| names.iter().position(|found| found.eq_ignore_ascii_case(name));
+        let named = |name: &str| names.iter().position(|found| found.eq_ignore_ascii_case(name));
+        let renamed =
+            |name: &str| RENAMED.iter().find(|(old, _)| *old == name).and_then(|(_, new)| named(new));
+        let place = |name: &str| named(name).or_else(|| renamed(name));
         let mut needed = [0; NEEDED.len()];
         for (column, name) in needed.iter_mut().zip(NEEDED) {
             *column = place(name).ok_or_else(|| {
@@ -82,7 +89,7 @@ fn shot(columns: &Columns, line: &str, folder: &Path) -> Result<Shot, Refusal> {
     let rotation = cam_from_world([number(heading)?, number(pitch)?, number(roll)?]);
     let lens = FilmLens {
         focal_mm: number(f)?,
-        center_mm: DVec2::new(optional(0)?, optional(1)?),
+        center_share: DVec2::new(optional(0)?, optional(1)?),
         distortion: [optional(2)?, optional(3)?, optional(4)?, optional(5)?, optional(6)?, optional(7)?],
     };
     let lens = lens.on(&path)?;

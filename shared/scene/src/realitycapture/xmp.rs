@@ -17,8 +17,9 @@ use crate::{Pose, SceneError, xml};
 
 /// The namespace of RealityCapture's names.
 pub(super) const NAMESPACE: &str = "http://www.capturingreality.com/ns/xcr/";
-/// Models of lenses that have at most radial coefficients.
-const MODELS: [&str; 3] = ["perspective", "brown3", "brown4"];
+/// Models of lenses that are read: none of distortion, and Brown's with three or four radial and up to two tangential
+/// coefficients. The others are *division* and two rational ones.
+const MODELS: [&str; 5] = ["perspective", "brown3", "brown4", "brown3t2", "brown4t2"];
 
 /// Reads a file; `None` if it has no pose. The picture lies beside it, with the same name but for its extension.
 pub(super) fn read(path: &Path) -> Result<Option<Shot>, SceneError> {
@@ -73,8 +74,7 @@ fn film_lens(node: Node) -> Result<FilmLens, Refusal> {
     }
     let focal_mm = field(node, "FocalLength35mm").ok_or("has no FocalLength35mm")?;
     let [focal_mm] = numbers::<1>(focal_mm)?;
-    // The principal point is told as a share of the longer side, which has 36 mm.
-    let center_mm = 36.0 * DVec2::new(number("PrincipalPointU", 0.0)?, number("PrincipalPointV", 0.0)?);
+    let center_share = DVec2::new(number("PrincipalPointU", 0.0)?, number("PrincipalPointV", 0.0)?);
     let distortion = field(node, "DistortionCoeficients").map_or(Ok([0.0; 6]), numbers::<6>)?;
-    Ok(FilmLens { focal_mm, center_mm, distortion })
+    Ok(FilmLens { focal_mm, center_share, distortion })
 }
