@@ -167,7 +167,7 @@ mod tests {
         let given = Given {
             images: folder.path().into(),
             model: folder.path().into(),
-            count: 4,
+            shots: Vec::new(),
             key: blake3::hash(b""),
             georeference: None,
             points: Vec::new(),

@@ -148,7 +148,13 @@ mod tests {
             [[0.0, 0.0, 1.0], [40.0, 5.0, 0.0], [-10.0, 30.0, 3.0], [25.0, 60.0, 0.0], [50.0, 45.0, 2.0]];
         let sighting = |at: [f64; 3]| {
             let at = DVec3::from(at);
-            Sighting { model: 0.1 * (turn * at), enu_m: told(at), has_height: true, sigma_m: [0.05; 2], is_told: false }
+            Sighting {
+                model: 0.1 * (turn * at),
+                enu_m: told(at),
+                has_height: true,
+                sigma_m: [0.05; 2],
+                is_told: false,
+            }
         };
         (at.map(sighting).to_vec(), Up { direction: turn * DVec3::Z, sigma_rad: 0.1 })
     }
