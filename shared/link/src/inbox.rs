@@ -280,6 +280,11 @@ impl Inbox {
         }
     }
 
+    /// Notes a new connection.
+    pub(crate) fn on_connected(&mut self, now: Duration) {
+        self.transfers.values_mut().for_each(|transfer| transfer.on_connected(now));
+    }
+
     /// Returns the next task that is due. Drops abandoned transfers.
     pub fn next(&mut self, now: Duration) -> Option<InboxAction> {
         if let Some(reply) = self.replies.pop_front() {

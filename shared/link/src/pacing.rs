@@ -94,6 +94,9 @@ pub(crate) const PLAN_PAUSE: Duration = Duration::from_secs(1);
 /// A device that waits for a global model offers its stored model again so often, and when it is connected again: an
 /// aggregator that has lost the model and its own records cannot ask.
 pub(crate) const STORED_OFFER: Duration = Duration::from_secs(60);
+/// Shortest time between two such offers because of new connections. On a line that breaks each second, offers and what the
+/// aggregator answers would fill the line, and a broker repeats on each connection what was not acknowledged on the last one.
+pub(crate) const STORED_AGAIN: Duration = Duration::from_secs(10);
 /// A device answers such a request at most once in this time.
 pub(crate) const ASKED_AGAIN: Duration = Duration::from_secs(5);
 /// Limit on the numbers that a sender tries for one model, the next twice as high as the last.

@@ -222,6 +222,12 @@ impl Transfer {
         }
     }
 
+    /// Notes a new connection. What a broker has kept for this receiver comes now, so the wait for it begins again: otherwise,
+    /// it would be asked for at once, and come twice.
+    pub(crate) fn on_connected(&mut self, now: Duration) {
+        self.last_heard = now;
+    }
+
     /// Schedules a `Want` for `now`, because the sender has repeated its offer.
     pub(crate) fn on_offered_again(&mut self, now: Duration) {
         if let TransferPhase::Fetching { want_at } = &mut self.phase {

@@ -96,6 +96,11 @@ pub(crate) fn is_made_up_for(topic: &str) -> bool {
     is_chunk(topic) || is_want(topic)
 }
 
+/// Whether a later message under the same topic makes this one useless: it offers the same model.
+pub(crate) fn is_offer(topic: &str) -> bool {
+    topic.ends_with("/m")
+}
+
 impl Outgoing {
     /// Bytes of topic and payload.
     pub(crate) fn bytes(&self) -> usize {

@@ -16,8 +16,8 @@ use crate::bits::BitSet;
 use crate::key::ModelKey;
 use crate::offer::Offer;
 use crate::pacing::{
-    ANNOUNCE, ANNOUNCE_AGAIN, ANNOUNCE_ANSWERED, ASKED_AGAIN, Backoff, RENUMBERED_MAX, SHRINK, STORED_OFFER,
-    UNANSWERED_OFFERS,
+    ANNOUNCE, ANNOUNCE_AGAIN, ANNOUNCE_ANSWERED, ASKED_AGAIN, Backoff, RENUMBERED_MAX, SHRINK, STORED_AGAIN,
+    STORED_OFFER, UNANSWERED_OFFERS,
 };
 use crate::peer::{Peer, PeerPhase};
 use crate::transport::Outgoing;
@@ -129,6 +129,8 @@ pub struct Uploader {
     offer_stored_at: Option<Duration>,
     /// Whether that has happened. Then the aggregator may ask for the model as for any other.
     is_stored_offered: bool,
+    /// When that last happened.
+    stored_offered_at: Option<Duration>,
 }
 
 impl Uploader {
@@ -172,6 +174,7 @@ impl Uploader {
             renumbered: 0,
             offer_stored_at: None,
             is_stored_offered: false,
+            stored_offered_at: None,
         }
     }
 
@@ -240,7 +243,8 @@ impl Uploader {
     pub fn on_connected(&mut self, now: Duration) {
         self.peers.iter_mut().for_each(|peer| peer.on_cut(now));
         self.announce_now(now);
-        self.offer_stored_at = self.offer_stored_at.map(|_| now);
+        let again_at = self.stored_offered_at.map_or(now, |last| now.max(last + STORED_AGAIN));
+        self.offer_stored_at = self.offer_stored_at.map(|at| at.min(again_at));
         if let (Destination::Aggregator, [peer]) = (self.destination, &self.peers[..]) {
             let receiver = peer.device;
             self.shrink_on_poor_line(now, receiver);
@@ -561,6 +565,7 @@ impl Uploader {
     fn offer_stored(&mut self, now: Duration) -> Option<Outgoing> {
         self.offer_stored_at.filter(|at| now >= *at)?;
         (self.offer_stored_at, self.is_stored_offered) = (Some(now + STORED_OFFER), true);
+        self.stored_offered_at = Some(now);
         Some(Outgoing::new(&self.site, self.local_topic(), &Message::Header(self.offer.header), false))
     }
 

@@ -3,7 +3,7 @@
 use std::time::Duration;
 
 use cosurf_wire::{Message, Sealed, Topic};
-use rumqttc::v5::mqttbytes::v5::{Packet, PingReq};
+use rumqttc::v5::mqttbytes::v5::{DisconnectReasonCode, Packet, PingReq};
 use tokio::time::timeout;
 
 use super::MqttConfig;
@@ -27,20 +27,34 @@ pub fn is_present(config: MqttConfig) -> Result<bool, String> {
     block_on(&settings, look(&settings))
 }
 
+/// Looks once more if a connection breaks that the broker had accepted. If that happens again, another program has most likely
+/// ended both.
 async fn look(settings: &ClientSettings) -> Result<bool, Fault> {
+    for _ in 0..2 {
+        if let Some(found) = look_once(settings).await? {
+            return Ok(found);
+        }
+    }
+    Ok(true)
+}
+
+/// Whether there is another program; `None` if the connection broke.
+async fn look_once(settings: &ClientSettings) -> Result<Option<bool>, Fault> {
     let (mut connection, ack) = Connection::open(settings, false).await?;
     if ack.session_present {
         // Nobody else uses this client id, so the session is that of the device. It is kept as it is.
         let is_back = is_thrown_out(&mut connection).await;
         leave(&mut connection, None).await;
-        return Ok(is_back);
+        return Ok(Some(is_back));
     }
     connection.queue(&settings.subscription());
     let notice = timeout(ANSWER_TIMEOUT, await_notice(&mut connection)).await.unwrap_or(Err(Fault::NoAnswer));
     let found = match notice {
         // Perhaps because this connection has ended that of the other program.
-        Ok(Some(false)) => Ok(is_thrown_out(&mut connection).await),
-        notice => notice.map(Option::unwrap_or_default),
+        Ok(Some(false)) => Ok(Some(is_thrown_out(&mut connection).await)),
+        Ok(notice) => Ok(Some(notice.unwrap_or_default())),
+        Err(Fault::Lost(_)) => return Ok(None),
+        Err(fault) => Err(fault),
     };
     leave(&mut connection, Some(0)).await;
     found
@@ -69,6 +83,11 @@ async fn await_notice(connection: &mut Connection) -> Result<Option<bool>, Fault
             Some(Packet::SubAck(_)) => return Err(Fault::Subscriptions),
             Some(Packet::Publish(message)) => return Ok(Some(is_alive(&message.topic, &message.payload))),
             Some(Packet::PingResp(_)) => return Ok(None),
+            Some(Packet::Disconnect(farewell))
+                if farewell.reason_code == DisconnectReasonCode::SessionTakenOver =>
+            {
+                return Ok(Some(true));
+            }
             Some(Packet::Disconnect(farewell)) => return Err(Fault::Closed(farewell.reason_code)),
             Some(_) => {}
             None => connection.exchange().await?,

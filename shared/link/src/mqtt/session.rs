@@ -5,6 +5,8 @@ use std::time::{Duration, Instant};
 
 use rumqttc::v5::mqttbytes::v5::Publish;
 
+use crate::transport::is_offer;
+
 /// Maximum number of unacknowledged messages.
 pub(super) const IN_FLIGHT_MAX: usize = 64;
 /// Limit on the unacknowledged bytes of bulk messages on a fast line.
@@ -39,6 +41,9 @@ pub(super) struct InFlight {
     count_max: usize,
     /// Limit on the bytes of bulk. The line shows how much it takes.
     bulk_bytes_max: usize,
+    /// The shortest time that a control message of this connection took to be acknowledged. Bulk takes it too, on a line of any
+    /// rate: over a satellite, a second says nothing about how much is under way.
+    latency: Option<Duration>,
     last_id: u16,
 }
 
@@ -48,6 +53,7 @@ impl InFlight {
             letters: VecDeque::new(),
             count_max: IN_FLIGHT_MAX,
             bulk_bytes_max: BULK_BYTES_FIRST,
+            latency: None,
             last_id: 0,
         }
     }
@@ -87,8 +93,10 @@ impl InFlight {
     pub(super) fn acknowledge(&mut self, id: u16, now: Instant) -> Option<Publish> {
         let place = self.letters.iter().position(|(letter, _)| letter.publish.pkid == id);
         let (letter, since) = self.letters.remove(place?)?;
-        if letter.is_bulk {
-            self.learn(letter.publish.payload.len(), now.saturating_duration_since(since));
+        let waited = now.saturating_duration_since(since);
+        match letter.is_bulk {
+            true => self.learn(letter.publish.payload.len(), waited),
+            false => self.latency = Some(self.latency.map_or(waited, |least| least.min(waited))),
         }
         Some(letter.publish)
     }
@@ -96,7 +104,7 @@ impl InFlight {
     /// Learns from how long a bulk message waited for its acknowledgement.
     fn learn(&mut self, bytes: usize, waited: Duration) {
         let limit = self.bulk_bytes_max;
-        self.bulk_bytes_max = match waited {
+        self.bulk_bytes_max = match waited.saturating_sub(self.latency.unwrap_or_default()) {
             short if short < WAIT_WANTED => (limit + bytes).min(BULK_BYTES_MAX),
             long if long > 2 * WAIT_WANTED => limit - limit / 4,
             _ => limit,
@@ -104,8 +112,9 @@ impl InFlight {
     }
 
     /// Begins again after the connection was lost. Returns the messages that must be sent again: those that nothing else
-    /// makes up for, if the broker has kept the session. Of those that it retains, the last of each topic is enough: on a
-    /// line that breaks each second, births would fill the line. `count_max` is the broker's own limit on messages in flight.
+    /// makes up for, if the broker has kept the session. Of those that it retains, and of offers, the last of each topic is
+    /// enough, and of equal messages one: on a line that breaks each second, they would fill the line. `count_max` is the
+    /// broker's own limit on messages in flight.
     pub(super) fn resume(
         &mut self,
         has_session: bool,
@@ -113,9 +122,12 @@ impl InFlight {
         now: Instant,
     ) -> impl Iterator<Item = &Publish> {
         self.letters.retain(|(letter, _)| has_session && !letter.is_made_up_for);
+        self.latency = None;
         let mut newer = BTreeSet::new();
         let is_newest = |(letter, _): &(Letter, Instant)| {
-            !letter.publish.retain || newer.insert(letter.publish.topic.clone())
+            let Publish { topic, payload, retain, .. } = &letter.publish;
+            let is_last_enough = *retain || str::from_utf8(topic).is_ok_and(is_offer);
+            newer.insert((topic.clone(), (!is_last_enough).then(|| payload.clone())))
         };
         let kept: Vec<bool> = self.letters.iter().rev().map(is_newest).collect();
         let mut kept = kept.into_iter().rev();
@@ -168,6 +180,24 @@ mod tests {
         assert!((50_000..115_000).contains(&bytes), "{bytes}");
     }
 
+    /// Over a satellite, acknowledgements take seconds however little is under way.
+    #[test]
+    fn bulk_in_flight_does_not_shrink_because_of_latency() {
+        let (mut flight, start) = (InFlight::new(), Instant::now());
+        let latency = Duration::from_secs(4);
+        let id = flight.add(control(100), start).pkid;
+        flight.acknowledge(id, start + latency);
+        let mut at = start + latency;
+        for _ in 0..20 {
+            let sent: Vec<u16> =
+                std::iter::from_fn(|| flight.has_room_for(&chunk()).then(|| flight.add(chunk(), at).pkid))
+                    .collect();
+            at += latency;
+            sent.into_iter().for_each(|id| drop(flight.acknowledge(id, at)));
+        }
+        assert!(flight.bulk_bytes_max > BULK_BYTES_FIRST, "{}", flight.bulk_bytes_max);
+    }
+
     #[test]
     fn control_passes_while_bulk_waits() {
         let (mut flight, now) = (InFlight::new(), Instant::now());
@@ -215,6 +245,21 @@ mod tests {
                 .map(|(topic, retain)| flight.add(of(topic, retain), now).pkid)
                 .into();
         let again: Vec<u16> = flight.resume(true, None, now).map(|message| message.pkid).collect();
-        assert_eq!(again, ids[1..]);
+        // Of the two equal messages, the later one.
+        assert_eq!(again, ids[2..]);
+    }
+
+    #[test]
+    fn of_offers_the_last_is_sent_again_and_of_others_each_that_differs() {
+        let (mut flight, now) = (InFlight::new(), Instant::now());
+        let mut add = |topic: &str, payload: &'static str| {
+            let mut letter = control(0);
+            (letter.publish.topic, letter.publish.payload) = (topic.to_owned().into(), payload.into());
+            flight.add(letter, now).pkid
+        };
+        let [_, second] = ["1", "2"].map(|payload| add("gs/v1/site/drone/up/1/m", payload));
+        let others = ["1", "2"].map(|payload| add("gs/v1/site/drone/dn/done", payload));
+        let again: Vec<u16> = flight.resume(true, None, now).map(|message| message.pkid).collect();
+        assert_eq!(again, [second, others[0], others[1]]);
     }
 }

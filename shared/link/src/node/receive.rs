@@ -30,6 +30,7 @@ impl Node {
                 let now = self.now;
                 self.asking.iter_mut().for_each(|asking| asking.on_connected(now));
                 self.uploaders.iter_mut().for_each(|uploader| uploader.on_connected(now));
+                self.inbox.on_connected(now);
                 self.events.push_back(NodeEvent::Connected);
             }
             TransportEvent::Disconnected { attempt, reason } => {
