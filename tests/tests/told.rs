@@ -428,6 +428,21 @@ fn preflight_tells_whether_a_flight_can_begin() {
     drop(other);
 }
 
+/// A broker whose access list has the topics of states and not those of models.
+#[test]
+fn a_broker_that_takes_no_models_is_told_before_the_training() {
+    let folder = tempfile::tempdir().unwrap();
+    let list = "topic write gs/v1/site/drone/state\ntopic write gs/v1/site/drone/status\n\
+                topic write gs/v1/site/drone/flight\ntopic write gs/v1/site/drone/global/#\ntopic read gs/v1/site/#\n";
+    fs::write(folder.path().join("list"), list).unwrap();
+    let settings = format!("{PLAIN}acl_file FOLDER/list\n");
+    let Some(broker) = Mosquitto::start(folder.path(), &settings, false) else { return };
+    let at_broker = format!("broker = \"mqtt://127.0.0.1:{}\"", broker.address.port);
+    let agent = Agent::start(folder.path(), &at_broker, 100_000);
+    agent.tells("up/0/m are refused: give this participant access to its topics");
+    agent.tells(TRAINING);
+}
+
 /// A broker that takes client ids from certificates or users ends the connection of the running agent when another program
 /// connects with its certificate.
 #[test]

@@ -9,8 +9,9 @@ use std::time::{Duration, Instant};
 
 use cosurf_agent::status::{StatusBoard, StatusTeller};
 use cosurf_contract::AgentEvent;
-use cosurf_link::{Credentials, Identity, InboxLimits, Node, NodeEvent};
+use cosurf_link::{Credentials, Identity, InboxLimits, Node, NodeEvent, Outgoing, Transport};
 use cosurf_scene::Camera;
+use cosurf_wire::{ModelId, Topic};
 
 use super::choice::Answer;
 use super::route::Connection;
@@ -70,7 +71,8 @@ impl Reporter {
         let stop = Arc::new(AtomicBool::new(false));
         let thread = {
             let stop = Arc::clone(&stop);
-            std::thread::spawn(move || keep(node, connection, teller, &say, &queue, &stop))
+            let trial = connection.has_broker().then(|| trial_of(&identity));
+            std::thread::spawn(move || keep(node, connection, trial, teller, &say, &queue, &stop))
         };
         let (start, answer) = await_start(&hear, asks, progress);
         progress.listen(problems(hear));
@@ -146,10 +148,18 @@ fn problems(hear: Receiver<Told>) -> impl FnMut() -> Option<AgentEvent> {
     }
 }
 
-/// Keeps the connection until `stop`.
+/// A message that changes nothing, under a topic of models: it deletes an offer that was never made. A broker that does not let
+/// this device send models refuses it before the training.
+fn trial_of(Identity { site, device, .. }: &Identity) -> Outgoing {
+    let topic = Topic::LocalHeader { device: *device, model: ModelId(0) }.to_text(site);
+    Outgoing { topic, payload: Vec::new(), retain: true }
+}
+
+/// Keeps the connection until `stop`. Sends the `trial` once it is up.
 fn keep(
     mut node: Node,
     mut connection: Connection,
+    mut trial: Option<Outgoing>,
     mut teller: Option<StatusTeller>,
     say: &Sender<Told>,
     flights: &Receiver<Flight>,
@@ -168,6 +178,11 @@ fn keep(
             Some(NodeEvent::Disconnected { .. }) => Some(false),
             _ => None,
         };
+        if is_connected == Some(true)
+            && let Some(trial) = trial.take()
+        {
+            let _ = connection.publish(&trial); // what cannot be sent is not refused
+        }
         if let Some(teller) = &mut teller {
             is_connected.into_iter().for_each(|is_connected| teller.on_connection(is_connected));
             teller.tell(&mut connection, now());

@@ -121,6 +121,13 @@ pub(super) enum Connection {
     Serial(SerialTransport),
 }
 
+impl Connection {
+    /// Whether a broker takes the messages, and may refuse them.
+    pub(super) fn has_broker(&self) -> bool {
+        matches!(self, Self::Broker(_))
+    }
+}
+
 impl Transport for Connection {
     fn publish(&mut self, message: &Outgoing) -> Result<(), PublishError> {
         match self {
