@@ -140,7 +140,7 @@ fn locate(marks: &[(usize, DVec2)], its: &Reconstruction) -> Result<Located, Uns
     let (right, wrong): (Vec<usize>, Vec<usize>) = (0..marks.len()).partition(|i| off_px[*i] < WRONG_FROM_PX);
     let of_right: Vec<Sight> = right.iter().map(|i| sights[*i]).collect();
     let Some(model) = triangulate(&of_right) else {
-        return Err(Unseen::Contradictory(2.0 * off_px.iter().copied().fold(0.0, f64::max)));
+        return Err(Unseen::Contradictory(off_px.iter().copied().fold(0.0, f64::max)));
     };
     let elsewhere = |i: usize| {
         let off_px = sights[i].off_px(model);
@@ -272,7 +272,8 @@ mod tests {
         let mut other_thing = point("a", DVec3::X, &[0, 3], 0.0);
         other_thing.marks[1].at_px.y += 100.0;
         let told = reason(other_thing);
-        assert!(told.contains("of different things, 100 pixels apart"), "{told}");
+        // The lens has 100 pixels between them, and one of the two lines of sight is longer.
+        assert!(told.contains("of different things, 118 pixels apart"), "{told}");
     }
 
     #[test]

@@ -163,7 +163,7 @@ mod tests {
         let dataset = Dataset { views: (0..4).map(view).collect(), points: Vec::new() };
         let cut = folder.path().join("2.jpg");
         let bytes = fs::read(&cut).unwrap();
-        fs::write(&cut, &bytes[..bytes.len() - 30]).unwrap();
+        fs::write(&cut, &bytes[..bytes.len() - 2]).unwrap();
         let given = Given {
             images: folder.path().into(),
             model: folder.path().into(),

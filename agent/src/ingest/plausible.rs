@@ -138,7 +138,7 @@ mod tests {
         check_place(&photographs, &points(16.01, &["a.jpg", "b.jpg"])).unwrap();
         check_place(&photographs, &points(22.0, &["elsewhere.jpg"])).unwrap();
         let error = check_place(&photographs, &points(22.0, &["a.jpg", "b.jpg"])).unwrap_err().to_string();
-        assert!(error.contains("gcp_list.txt: the points lie 402 km from the GPS"), "{error}");
+        assert!(error.contains("gcp_list.txt: the points lie 403 km from the GPS"), "{error}");
     }
 
     /// Five points, turned in any way, with the coordinates that a list tells of them.
