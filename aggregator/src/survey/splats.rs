@@ -23,7 +23,7 @@ use super::tiles::Tiles;
 /// A splat more than this many voxels above the surface floats: where views agree, the surface is within a voxel or two.
 const FLOATING_VOXELS: f64 = 5.0;
 /// A splat lies far outside of the mesh if it is more than this share of the mesh's diagonal away from its box.
-const OUTSIDE_SHARE: f64 = 0.1;
+const OUTSIDE_SHARE: f64 = 0.5;
 /// The surface counts up to this many voxels beside a splat, so that splats at the edge of a roof do not float.
 const BESIDE_VOXELS: f64 = 2.0;
 /// Splats that are read at once; with harmonics of degree 3, they take a MiB.
