@@ -17,7 +17,8 @@
 //! Where to start reading: [`survey`], the list of steps. The modules, each below those that use it:
 //!
 //! ```text
-//! survey ─► accuracy, cog, points, solid, splat_tiles, contours, volumes   the files
+//! survey ─► accuracy, cog, points, solid, contours, volumes   the files
+//!            └─ splat_tiles, splat_claims                     those with splats
 //!            └─ confidence, floaters ─► views, depths        how wrong heights may be; what floats; what cameras show
 //!            └─ heights, terrain, splats, colors              the surface, the ground, what nobody sees of them
 //!            └─ tileset                                       where tiles are
@@ -42,6 +43,7 @@ mod points;
 mod quadtree;
 mod scene;
 mod solid;
+mod splat_claims;
 mod splat_tiles;
 mod splats;
 mod terrain;
@@ -66,7 +68,7 @@ use crate::service::remove;
 pub use accuracy::{Accuracy, MadeFile, PointsAccuracy};
 use accuracy::{Made, accuracy_of};
 use colors::Painter;
-use confidence::{Claim, find_claims};
+use confidence::{Claim, Scale, find_claims};
 use contours::{ContourOrder, write_contours};
 use depths::Depths;
 pub use error::SurveyError;
@@ -79,6 +81,7 @@ use quadtree::Quadtree;
 pub use scene::FusedMesh;
 use scene::{Relief, Scene};
 use solid::{Shown, SolidSize, write_solid};
+use splat_claims::write_splat_claims;
 use splat_tiles::{SplatTiles, write_splat_tiles};
 use splats::{Sieve, splats_from_above};
 use terrain::{find_terrain, leave_trusted};
@@ -148,8 +151,9 @@ pub enum SurveyEvent {
 }
 
 /// Makes all files: the maps `dsm.tif`, `dtm.tif`, `ortho.tif` and `confidence.tif`, `points.laz`, `mesh.glb`, `mesh.obj`
-/// with `mesh.mtl` and `mesh.jpg`, `tileset.json` with its tiles, `splats/tileset.json` with its tiles, `contours.geojson`,
-/// `volumes.json` if polygons are given, and last `accuracy.json`, so that its presence tells that the others are complete.
+/// with `mesh.mtl` and `mesh.jpg`, `tileset.json` with its tiles, `splats/tileset.json` with its tiles, `splats.ply`,
+/// `contours.geojson`, `volumes.json` if polygons are given, and last `accuracy.json`, so that its presence tells that the
+/// others are complete.
 pub fn survey(order: &SurveyOrder, mut on_event: impl FnMut(SurveyEvent)) -> Result<Accuracy, SurveyError> {
     let place = Place::new(&order.georeference, order.geoid.as_deref())?;
     // Read before the mesh is made, so that a wrong file is reported at once.
@@ -177,12 +181,12 @@ pub fn survey(order: &SurveyOrder, mut on_event: impl FnMut(SurveyEvent)) -> Res
     let mut show = |what, stage, done, of| on_event(SurveyEvent::Counted { what, stage, done, of });
     let voxel_m = relief.voxel_m;
     let shape = Shape::of(relief, &scene, place, order, &mut show)?;
-    let Shape { lattice, mut heights, depths, points, solid, bounds } = shape;
+    let Shape { lattice, mut heights, mut depths, points, solid, bounds } = shape;
     let mut terrain = Tiles::new(&order.out, lattice.size_px(), lattice::TILE_PX)?;
     find_terrain(&mut heights, lattice.gsd_m(), &mut terrain, order.memory_bytes)?;
 
-    let seen = Seen { heights: &mut heights, bounds, voxel_m };
-    let splats = write_colors(&scene, order, &lattice, seen, |d, n| show("tile", "colours", d, n))?;
+    let seen = Seen { heights: &mut heights, depths: &mut depths, bounds, voxel_m };
+    let splats = write_splats(&scene, order, &lattice, seen, &mut show)?;
 
     let mut views = Tiles::<Views>::new(&order.out, lattice.size_px(), lattice::TILE_PX)?;
     find_views(depths, &lattice, &mut heights, &mut views, voxel_m, |d, n| show("view", "comparing", d, n))?;
@@ -250,9 +254,10 @@ struct Shape {
     bounds: [DVec3; 2],
 }
 
-/// The surface that splats are compared with.
+/// The surface that splats are compared with, and what cameras show.
 struct Seen<'a> {
     heights: &'a mut Tiles<f32>,
+    depths: &'a mut Depths,
     bounds: [DVec3; 2],
     voxel_m: f64,
 }
@@ -309,22 +314,25 @@ fn bounds_of(mesh: &Mesh, is_seen: &[bool], frame: &LocalFrame) -> [DVec3; 2] {
     world.fold([DVec3::INFINITY, DVec3::NEG_INFINITY], |[low, high], at| [low.min(at), high.max(at)])
 }
 
-/// Writes the orthophoto, and the splats as tiles.
-fn write_colors(
+/// Writes the orthophoto, and the splats themselves: with what can be claimed of each, and as tiles.
+fn write_splats(
     scene: &Scene,
     order: &SurveyOrder,
     lattice: &Lattice,
     seen: Seen,
-    on_tile: impl FnMut(usize, usize),
+    mut show: impl FnMut(&'static str, &'static str, usize, usize),
 ) -> Result<SplatTiles, SurveyError> {
     let memory_bytes = order.memory_bytes;
-    let Seen { heights, bounds, voxel_m } = seen;
+    let Seen { heights, depths, bounds, voxel_m } = seen;
     let sieve = Sieve::new(scene, lattice, heights, bounds, voxel_m);
     let kept = splats_from_above(scene, sieve, &order.out, memory_bytes)?;
     let mut colors = Tiles::new(&order.out, lattice.size_px(), lattice::TILE_PX)?;
     let painter = Painter { splats: kept.file(), frame: scene.frame, memory_bytes, threads: order.threads };
-    painter.paint(lattice, heights, &mut colors, on_tile)?;
+    painter.paint(lattice, heights, &mut colors, |d, n| show("tile", "colours", d, n))?;
     cog::write_colors(&order.out.join("ortho.tif"), lattice, &mut colors)?;
+    let scale = Scale::of(lattice, voxel_m);
+    let on_view = |d, n| show("view", "comparing splats", d, n);
+    write_splat_claims(&order.out, scene, kept.floats(), depths, &scale, memory_bytes, on_view)?;
     write_splat_tiles(&order.out, scene, kept.floats(), lattice.place(), memory_bytes)
 }
 

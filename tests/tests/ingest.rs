@@ -117,6 +117,7 @@ fn one_command_makes_deliverables_of_photographs() {
         "mesh.glb",
         "mesh.jpg",
         "tileset.json",
+        "splats.ply",
     ];
     for file in made.into_iter().chain(["contours.geojson", "accuracy.json"]) {
         assert!(out.join("survey").join(file).is_file(), "{file} is missing");

@@ -22,6 +22,7 @@ use super::host::{cores, display};
 /// ground), ortho.tif (a true orthophoto) and confidence.tif (views of each pixel, how far apart they are, and how wrong its
 /// height may be), all Cloud-Optimised GeoTIFF; points.laz, a Cloud-Optimised Point Cloud; mesh.glb and mesh.obj, with the
 /// picture mesh.jpg; tileset.json and the folder tiles, the mesh as 3D Tiles; splats/tileset.json, the splats as 3D Tiles;
+/// splats.ply, the splats with how many views show each, how far apart they are, and how wrong its place may be;
 /// contours.geojson, of the bare ground; volumes.json with --volumes; and accuracy.json, last. Heights are metres above the
 /// ellipsoid of WGS 84, or above a geoid with --geoid.
 ///

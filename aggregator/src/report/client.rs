@@ -17,7 +17,7 @@ use super::svg::escape;
 use crate::viewer::{self, Walkable};
 
 /// The files that may lie beside a report, with what a client can do with them.
-const FILES: [(&str, &str); 18] = [
+const FILES: [(&str, &str); 19] = [
     ("survey/ortho.tif", "the site from straight above, as a map"),
     ("survey/dsm.tif", "heights of the highest surface, as a map"),
     ("survey/dtm.tif", "heights of the bare ground, as a map"),
@@ -33,6 +33,7 @@ const FILES: [(&str, &str); 18] = [
     ("survey/mesh.jpg", "the picture of the triangles for CAD and mesh programs"),
     ("survey/tileset.json", "the surface as 3D Tiles, for globes such as CesiumJS"),
     ("survey/splats/tileset.json", "the splats as 3D Tiles, for globes such as CesiumJS"),
+    ("survey/splats.ply", "the splats with how many photographs see each, for splat viewers"),
     ("survey/accuracy.json", "what the maps are, and how exact, for programs"),
     ("mesh.ply", "the surface as triangles, for CAD and mesh programs"),
     ("global.ply", "the model as splats, for splat viewers"),

@@ -51,7 +51,8 @@ pub struct Accuracy {
     pub splats: usize,
     /// Number of levels of detail in `splats/tileset.json`.
     pub splat_levels: usize,
-    /// Number of splats that floated above the surface or lay far outside of it, and are not in `ortho.tif` and `splats`.
+    /// Number of splats that floated above the surface or lay far outside of it, and are not in `ortho.tif`, `splats` and
+    /// `splats.ply`.
     pub splats_left_out: usize,
     /// How well the photographs' GPS agrees with their poses; absent if the place does not come from GPS.
     pub gps: Option<GpsResiduals>,
@@ -151,6 +152,7 @@ fn made_files(contours_m: f64, texel_m: Option<f64>, has_volumes: bool) -> Vec<M
         ("mesh.obj", "The triangles of mesh.glb in the coordinate system and with the heights of the maps, minus the whole kilometres that its first line tells.".into()),
         ("tileset.json", "The same mesh as a quadtree of tiles, each level decimated further; its place is earth-centred, so it needs no geoid.".into()),
         ("splats/tileset.json", "The splats of the model without those that float above the mesh or lie far outside of it, as a quadtree of tiles of glTF with SPZ; each level has a quarter of the splats of the level below, enlarged to cover as much.".into()),
+        ("splats.ply", "The same splats, in metres about the origin, with further properties: views and through, the numbers of cameras that show the centre of the splat and that look through it; spread_m, the root mean square of the distances along the rays between the centre and the surface that the former show; and error_m by the model of confidence.tif, without edges, or 0 where nothing can be claimed.".into()),
         ("contours.geojson", format!("Lines every {contours_m} m, by marching squares through means of dtm.tif.")),
     ];
     if let Some(texel_m) = texel_m {

@@ -56,7 +56,7 @@ pub(super) fn find_claims(
     views: &mut Tiles<Views>,
     claims: &mut Tiles<Claim>,
 ) -> Result<Option<f64>, SurveyError> {
-    let scale = Scale { gsd_m: lattice.gsd_m(), voxel_m };
+    let scale = Scale::of(lattice, voxel_m);
     let around_px = (AROUND_VOXELS * voxel_m / lattice.gsd_m()).round().max(1.0) as u32;
     let mut errors_m = Vec::new();
     // All of them first: the heights around matter, too.
@@ -87,16 +87,21 @@ pub(super) fn find_claims(
 }
 
 /// The lengths that errors are counted in.
-struct Scale {
+pub(super) struct Scale {
     /// Side of a pixel of the map, metres.
-    gsd_m: f64,
+    pub(super) gsd_m: f64,
     /// Edge length of a voxel, metres.
-    voxel_m: f64,
+    pub(super) voxel_m: f64,
 }
 
 impl Scale {
+    /// Of a map, and of a surface with voxels of `voxel_m`.
+    pub(super) fn of(lattice: &Lattice, voxel_m: f64) -> Self {
+        Self { gsd_m: lattice.gsd_m(), voxel_m }
+    }
+
     /// What can be claimed of a height with these views, if the surfaces around differ by `range_m` metres.
-    fn claim(&self, views: &Views, range_m: f32) -> Claim {
+    pub(super) fn claim(&self, views: &Views, range_m: f32) -> Claim {
         let Some(spread_m) = views.spread_m() else { return Claim::default() };
         if views.count < VIEWS_LEAST || SHOWN_FOR_EACH_THROUGH * views.through > views.count {
             return Claim::default();

@@ -2,6 +2,7 @@
 #![allow(clippy::unwrap_used)]
 
 mod memory;
+mod splat_claims;
 mod splat_tiles;
 mod textured;
 mod validated;
@@ -136,8 +137,10 @@ fn all_files_are_written_and_readers_understand_them() {
     std::fs::write(&polygons, format!(r#"{{"type":"Polygon","coordinates":[{ring}]}}"#)).unwrap();
     let order = SurveyOrder { volumes: Some(polygons), ..order(folder.path()) };
     let accuracy = survey(&order, |_| ()).unwrap();
-    assert_eq!((accuracy.epsg, accuracy.gsd_m, accuracy.splats_left_out), (32_633, 0.1, 1));
-    assert_eq!((accuracy.splats, accuracy.splat_levels), (SPLATS, 1));
+    // The red splat, and three rows in the north and three in the south, far outside of what two cameras see.
+    let left_out = 1 + 6 * 81;
+    assert_eq!((accuracy.epsg, accuracy.gsd_m, accuracy.splats_left_out), (32_633, 0.1, left_out));
+    assert_eq!((accuracy.splats, accuracy.splat_levels), (SPLATS + 1 - left_out, 1));
     assert!((100.0..180.0).contains(&accuracy.covered_m2), "{accuracy:?}");
     assert!(accuracy.check.is_none() && accuracy.points_per_m2 > 10.0, "{accuracy:?}");
 
@@ -153,6 +156,12 @@ fn all_files_are_written_and_readers_understand_them() {
         assert!((from.z - SLOPE * from.x).abs() < 0.1 && from.length() < 14.0, "{from}");
         assert!(point.color.unwrap().red < 0x4000, "no point is red");
     }
+    let splats = ply::read(&out("splats.ply"), &LocalFrame::WORLD).unwrap();
+    let model = ply::read(&folder.path().join("global.ply"), &LocalFrame::WORLD).unwrap();
+    let is_left_out = |i: &u32| *i == SPLATS as u32 || model.means[*i as usize][1].abs() > 6.9;
+    let left_out: Vec<u32> = (0..model.len() as u32).filter(is_left_out).collect();
+    assert!(splats == model.without(&left_out), "the others are as they were");
+    assert!(splat_claims::properties(&out("splats.ply")).iter().any(|[views, ..]| *views == 9.0));
     let volumes: serde_json::Value =
         serde_json::from_slice(&std::fs::read(out("volumes.json")).unwrap()).unwrap();
     let volume = |name: &str| volumes[0][name].as_f64().unwrap();

@@ -29,7 +29,8 @@ pub(super) struct Views {
     pub(super) count: f32,
     /// Number of views that look through the surface: they show another one behind it.
     pub(super) through: f32,
-    /// Sum of the squares of the differences between the heights that views show and the one that was found, m².
+    /// Sum of the squares of the differences between what views show and what was found, m²: of heights for pixels, of
+    /// distances along the rays for splats.
     squares_m2: f32,
 }
 
@@ -114,15 +115,26 @@ impl<'a> Picture<'a> {
         self.add_point(views, column.at.extend(f64::from(height) - column.lift_m));
     }
 
-    /// Counts the picture if it shows a point of the world, or looks through it.
+    /// Counts the picture if it shows a point of the world, or looks through it. Differences are those of heights.
     pub(super) fn add_point(&self, views: &mut Views, at: DVec3) {
+        self.add_along(views, at, |ray| ray.z);
+    }
+
+    /// As [`Self::add_point`] for the centre of a splat. Differences are distances along the rays: on a wall, heights say
+    /// little about how far the splat is from the surface.
+    pub(super) fn add_splat(&self, views: &mut Views, at: DVec3) {
+        self.add_along(views, at, DVec3::length);
+    }
+
+    /// `extent_m` tells the length that counts of the ray from the eye to the point.
+    fn add_along(&self, views: &mut Views, at: DVec3, extent_m: impl Fn(DVec3) -> f64) {
         let Some((px, depth_m)) = self.map.camera.project_with_depth(at) else { return };
         let Some(shown_m) = self.depth_m(px) else { return };
         if self.is_same(at, depth_m, shown_m) {
-            // Along the ray, by how much the point that the picture shows is higher.
-            let higher_m = (shown_m / depth_m - 1.0) * (at.z - self.eye().z);
+            // By how much the point that the picture shows is farther along the ray.
+            let farther_m = (shown_m / depth_m - 1.0) * extent_m(at - self.eye());
             views.count += 1.0;
-            views.squares_m2 += (higher_m * higher_m) as f32;
+            views.squares_m2 += (farther_m * farther_m) as f32;
         } else if shown_m > depth_m {
             views.through += 1.0;
         }

@@ -49,16 +49,20 @@ pub(crate) use rows::{Rows, read_elements};
 /// `path` is unchanged. The file has the frame's origin and the world's unit.
 pub fn write(path: &Path, splats: &Splats, frame: &LocalFrame) -> Result<(), SceneError> {
     atomic::write_sized(path, file_bytes(splats.len(), splats.sh_degree, frame), |out| {
-        out.write_all(header_of(splats.len(), splats.sh_degree, frame).as_bytes())?;
+        out.write_all(header_of(splats.len(), splats.sh_degree, frame, &[]).as_bytes())?;
         (0..splats.len()).try_for_each(|i| write_row(out, splats, i, frame))
     })
 }
 
 /// Length of the file that [`write()`] makes of so many splats in a frame, bytes.
 pub fn file_bytes(count: usize, sh_degree: u32, frame: &LocalFrame) -> u64 {
+    file_bytes_with(count, sh_degree, frame, &[])
+}
+
+fn file_bytes_with(count: usize, sh_degree: u32, frame: &LocalFrame, extra: &[&str]) -> u64 {
     // Position, normal, spherical harmonics, opacity, scales and rotation.
-    let numbers = 3 + 3 + 3 * sh_coefficients(sh_degree) + 1 + 3 + 4;
-    header_of(count, sh_degree, frame).len() as u64 + count as u64 * 4 * numbers as u64
+    let numbers = 3 + 3 + 3 * sh_coefficients(sh_degree) + 1 + 3 + 4 + extra.len();
+    header_of(count, sh_degree, frame, extra).len() as u64 + count as u64 * 4 * numbers as u64
 }
 
 /// As [`write()`], for splats that come in parts, so that they need not all be in memory. `count` is the number of all
@@ -81,15 +85,35 @@ pub fn write_with(
     frame: &LocalFrame,
     fill: impl FnOnce(&mut dyn FnMut(&Splats) -> io::Result<()>) -> io::Result<()>,
 ) -> Result<(), SceneError> {
-    atomic::write_sized(path, file_bytes(count, sh_degree, frame), |out| {
-        out.write_all(header_of(count, sh_degree, frame).as_bytes())?;
+    write_with_extra(path, count, sh_degree, frame, &[], |write| fill(&mut |splats| write(splats, &[])))
+}
+
+/// As [`write_with`], with further properties, named `extra`, behind those of 3DGS: viewers ignore them. With the splats of
+/// a part, `fill` hands over their values, splat by splat.
+pub fn write_with_extra(
+    path: &Path,
+    count: usize,
+    sh_degree: u32,
+    frame: &LocalFrame,
+    extra: &[&str],
+    fill: impl FnOnce(&mut dyn FnMut(&Splats, &[f32]) -> io::Result<()>) -> io::Result<()>,
+) -> Result<(), SceneError> {
+    atomic::write_sized(path, file_bytes_with(count, sh_degree, frame, extra), |out| {
+        out.write_all(header_of(count, sh_degree, frame, extra).as_bytes())?;
         let mut written = 0;
-        fill(&mut |splats| {
+        fill(&mut |splats, values| {
             if splats.sh_degree != sh_degree {
                 return Err(io::Error::other("its parts have different degrees of spherical harmonics"));
             }
+            if values.len() != splats.len() * extra.len() {
+                return Err(io::Error::other("its parts have other numbers of values than of splats"));
+            }
             written += splats.len();
-            (0..splats.len()).try_for_each(|i| write_row(out, splats, i, frame))
+            (0..splats.len()).try_for_each(|i| {
+                write_row(out, splats, i, frame)?;
+                let values = &values[i * extra.len()..(i + 1) * extra.len()];
+                values.iter().try_for_each(|value| out.write_all(&value.to_le_bytes()))
+            })
         })?;
         if written == count {
             Ok(())
@@ -99,12 +123,14 @@ pub fn write_with(
     })
 }
 
-fn header_of(count: usize, sh_degree: u32, frame: &LocalFrame) -> String {
+fn header_of(count: usize, sh_degree: u32, frame: &LocalFrame, extra: &[&str]) -> String {
     let mut text = format!("ply\nformat binary_little_endian 1.0\n{}", origin_line(frame.origin()));
     text += &format!("element vertex {count}\n");
     let rest = 3 * (sh_coefficients(sh_degree) - 1);
     let names = ["x", "y", "z", "nx", "ny", "nz"].map(String::from).into_iter();
-    for name in names.chain(numbered("f_dc", 3)).chain(numbered("f_rest", rest)).chain(tail_names()) {
+    let harmonics = numbered("f_dc", 3).chain(numbered("f_rest", rest));
+    let extra = extra.iter().map(|name| (*name).into());
+    for name in names.chain(harmonics).chain(tail_names()).chain(extra) {
         text += &format!("property float {name}\n");
     }
     text + "end_header\n"

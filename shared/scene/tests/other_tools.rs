@@ -107,6 +107,21 @@ fn splat_transform_reads_what_is_written_here() {
 }
 
 #[test]
+fn splat_transform_ignores_further_properties() {
+    if !has_transform() {
+        return;
+    }
+    let (folder, wanted) = written();
+    let [from, to] = ["with_views.ply", "theirs.ply"].map(|name| folder.path().join(name));
+    let (count, values) = (wanted.len(), vec![0.0; wanted.len()]);
+    ply::write_with_extra(&from, count, 1, &LocalFrame::WORLD, &["views"], |write| write(&wanted, &values))
+        .unwrap();
+    transform(&from, &to, &["--filter-nan"]);
+    let most = differences(&ply::read(&to, &LocalFrame::WORLD).unwrap(), &wanted);
+    assert!(most.iter().all(|of| *of < 1e-3), "{most:?}");
+}
+
+#[test]
 fn what_splat_transform_writes_is_read_here() {
     if !has_transform() {
         return;

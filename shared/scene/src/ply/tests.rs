@@ -100,6 +100,34 @@ fn files_have_the_bytes_that_3dgs_writes() {
 }
 
 #[test]
+fn further_properties_stand_behind_those_of_3dgs_and_are_ignored() {
+    let splats = made_up(3, 1);
+    let write = |path: &Path, values: &[f32]| {
+        let fill = |write: &mut dyn FnMut(&Splats, &[f32]) -> io::Result<()>| write(&splats, values);
+        write_with_extra(path, 3, 1, &LocalFrame::WORLD, &["views", "error_m"], fill)
+    };
+    in_file(b"", |path| {
+        write(&path, &[1.0, 2.0, 3.0, 4.0, 5.0, 6.0]).unwrap();
+        assert_eq!(read(&path, &LocalFrame::WORLD).unwrap(), splats);
+        let mut found = Vec::new();
+        let read = read_elements(&path, |element, rows| {
+            let last = element.properties.len() - 2;
+            assert_eq!((element.column("views"), element.column("error_m")), (Some(last), Some(last + 1)));
+            while let Some(row) = rows.next()? {
+                found.extend_from_slice(&row[last..]);
+            }
+            Ok(())
+        });
+        read.unwrap();
+        assert_eq!(found, [1.0, 2.0, 3.0, 4.0, 5.0, 6.0]);
+        for values in [&[1.0; 5][..], &[1.0; 7]] {
+            let error = write(&path, values).unwrap_err().to_string();
+            assert!(error.contains("other numbers of values"), "{error}");
+        }
+    });
+}
+
+#[test]
 fn other_dialects_are_read() {
     let header = "ply\r\nformat binary_little_endian 1.0\r\ncomment made by hand\r\n\
         element face 2\r\nproperty list uchar int vertex_indices\r\nproperty uchar flags\r\n\
