@@ -137,10 +137,8 @@ fn all_files_are_written_and_readers_understand_them() {
     std::fs::write(&polygons, format!(r#"{{"type":"Polygon","coordinates":[{ring}]}}"#)).unwrap();
     let order = SurveyOrder { volumes: Some(polygons), ..order(folder.path()) };
     let accuracy = survey(&order, |_| ()).unwrap();
-    // The red splat, and three rows in the north and three in the south, far outside of what two cameras see.
-    let left_out = 1 + 6 * 81;
-    assert_eq!((accuracy.epsg, accuracy.gsd_m, accuracy.splats_left_out), (32_633, 0.1, left_out));
-    assert_eq!((accuracy.splats, accuracy.splat_levels), (SPLATS + 1 - left_out, 1));
+    assert_eq!((accuracy.epsg, accuracy.gsd_m, accuracy.splats_left_out), (32_633, 0.1, 1));
+    assert_eq!((accuracy.splats, accuracy.splat_levels), (SPLATS, 1));
     assert!((100.0..180.0).contains(&accuracy.covered_m2), "{accuracy:?}");
     assert!(accuracy.check.is_none() && accuracy.points_per_m2 > 10.0, "{accuracy:?}");
 
@@ -158,9 +156,7 @@ fn all_files_are_written_and_readers_understand_them() {
     }
     let splats = ply::read(&out("splats.ply"), &LocalFrame::WORLD).unwrap();
     let model = ply::read(&folder.path().join("global.ply"), &LocalFrame::WORLD).unwrap();
-    let is_left_out = |i: &u32| *i == SPLATS as u32 || model.means[*i as usize][1].abs() > 6.9;
-    let left_out: Vec<u32> = (0..model.len() as u32).filter(is_left_out).collect();
-    assert!(splats == model.without(&left_out), "the others are as they were");
+    assert!(splats == model.without(&[SPLATS as u32]), "the others are as they were");
     assert!(splat_claims::properties(&out("splats.ply")).iter().any(|[views, ..]| *views == 9.0));
     let volumes: serde_json::Value =
         serde_json::from_slice(&std::fs::read(out("volumes.json")).unwrap()).unwrap();
