@@ -78,7 +78,9 @@ fn photographs_that_are_all_the_same_have_no_poses() {
         .find(|path| path.extension().is_some_and(|end| end == "JPG"))
         .unwrap();
     for i in 0..4 {
-        fs::copy(&first, same.join(format!("{i}.jpg"))).unwrap();
+        // What follows the end of a JPEG is not read, but makes it no copy, which would be left out.
+        let bytes = [&fs::read(&first).unwrap()[..], &[i]].concat();
+        fs::write(same.join(format!("{i}.jpg")), bytes).unwrap();
     }
     let run = Command::new(program("cosurf-agent"))
         .args(["ingest", "--out"])

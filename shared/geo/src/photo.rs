@@ -1,6 +1,7 @@
 //! What the EXIF and the XMP of a photograph tell: where it was taken, how accurate that is, and with which camera.
 
 mod accuracy;
+mod place;
 mod xmp;
 
 use std::fs::File;
@@ -11,6 +12,7 @@ use exif::{Exif, In, Reader, Tag, Value};
 
 use crate::error::GeoError;
 pub use accuracy::GpsAccuracy;
+pub use place::Gps;
 use xmp::Xmp;
 
 /// EXIF and XMP lie at the beginning of a file; more is never read, bytes.
@@ -19,19 +21,6 @@ const HEAD_BYTES_MAX: u64 = 1 << 20;
 const NAME_CHARS_MAX: usize = 100;
 /// Height above or below the sea at which no photograph of a drone is taken, metres.
 const HEIGHT_M_MAX: f64 = 12_000.0;
-
-/// Where GPS says that a photograph was taken, WGS 84.
-#[derive(Clone, Copy, Debug, PartialEq)]
-pub struct Gps {
-    /// Degrees north, -90..=90.
-    pub latitude_deg: f64,
-    /// Degrees east, -180..=180.
-    pub longitude_deg: f64,
-    /// Metres above whatever the receiver counts from, often mean sea level; `None` if not told.
-    pub height_m: Option<f64>,
-    /// How accurate the receiver says that the place is; `None` if not told.
-    pub accuracy: Option<GpsAccuracy>,
-}
 
 /// What the EXIF and the XMP of a photograph tell; nothing if there are none, or if they are damaged.
 #[derive(Clone, Debug, Default, PartialEq)]

@@ -187,13 +187,13 @@ pub(super) const SWEPT: [Damage; 8] = [
             fs::copy(other.path(), path).unwrap();
         }
     }),
-    ("dead link", |path| {
-        fs::remove_file(path).unwrap();
-        std::os::unix::fs::symlink("missing", path).unwrap();
-    }),
     ("stray", |path| {
         let extension = path.extension().unwrap_or_default().to_str().unwrap();
         fs::copy(path, path.with_file_name(format!("stray.7.{extension}"))).unwrap();
+    }),
+    ("dead link", |path| {
+        fs::remove_file(path).unwrap();
+        std::os::unix::fs::symlink("missing", path).unwrap();
     }),
 ];
 

@@ -5,7 +5,8 @@
 
 use roxmltree::{Document, Node, ParsingOptions};
 
-use super::{Gps, GpsAccuracy};
+use super::accuracy::GpsAccuracy;
+use super::place::Gps;
 
 /// What the segment of a packet begins with.
 const SIGNATURE: &[u8] = b"http://ns.adobe.com/xap/1.0/\0";

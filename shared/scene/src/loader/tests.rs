@@ -137,12 +137,21 @@ fn a_picture_of_another_size_rescales_its_camera() {
 }
 
 #[test]
-fn an_empty_picture_is_named() {
+fn empty_pictures_are_named_and_a_single_one_is_left_out() {
     let root = tempfile::tempdir().unwrap();
-    made_up(root.path());
-    fs::write(root.path().join("images/2.png"), b"").unwrap();
+    let whole = made_up(root.path());
+    let last = &whole.views[whole.views.len() - 1];
+    let fault = |name: &str| format!("images/{name}: is empty (0 bytes)");
+    fs::write(root.path().join("images").join(&last.name), b"").unwrap();
+    let dataset = Dataset::open(root.path()).unwrap();
+    assert_eq!((dataset.views.len(), dataset.find(&last.name)), (whole.views.len() - 1, None));
+    let views = dataset.views.len() as u32;
+    assert!(dataset.points.iter().all(|point| point.views.iter().all(|view| *view < views)));
+    let told = Dataset::damaged_pictures(root.path());
+    assert!(told.len() == 1 && told[0].contains(&fault(&last.name)), "{told:?}");
+    whole.views.iter().for_each(|view| fs::write(&view.path, b"").unwrap());
     let text = complaint(root.path());
-    assert!(text.contains("images/2.png: is empty (0 bytes)"), "{text}");
+    assert!(text.contains(&fault(&whole.views[0].name)), "{text}");
 }
 
 #[test]
