@@ -131,7 +131,7 @@ pub fn ingest(plan: &IngestPlan, tell: &mut dyn FnMut(AgentEvent)) -> Result<Ing
     stages.run(&recipe.undistorting(&its)?)?;
 
     masks::join(&work, &recipe.undistorted())?;
-    let (dataset, _) = Dataset::open_within(&recipe.undistorted(), usize::MAX)?;
+    let dataset = Dataset::open(&recipe.undistorted())?;
     tell_left_out(tell, &unposed(&photographs, &its, &others));
     tell_left_out(tell, &placed.left_out);
     let georeference = placed.georeference;

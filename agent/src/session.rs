@@ -16,7 +16,7 @@ use cosurf_engine::{
 use cosurf_scene::bytes::format_bytes;
 use cosurf_scene::cache::Source;
 use cosurf_scene::{
-    Camera, Dataset, LocalFrame, ORIGIN_MAX, PictureCache, Shrinking, SparsePoint, Splats, View, mask,
+    Camera, Dataset, LocalFrame, ORIGIN_MAX, Opened, PictureCache, Shrinking, SparsePoint, Splats, View, mask,
 };
 use glam::DVec3;
 use tracing::info_span;
@@ -101,14 +101,14 @@ pub enum Split {
 
 /// Opens the plan's dataset, with as many sparse points as the plan's memory has room for. Also returns of how many points
 /// in a row one was kept.
-pub fn open_dataset(plan: &TrainPlan) -> Result<(Dataset, usize)> {
+pub fn open_dataset(plan: &TrainPlan) -> Result<Opened> {
     let points_bytes_max = (plan.memory_bytes / POINTS_PER_MEMORY) as usize;
     Ok(Dataset::open_within(&plan.data, points_bytes_max)?)
 }
 
 /// The world cameras of the plan's training views, for pictures of at most the plan's size.
 pub fn flight(plan: &TrainPlan) -> Result<Vec<Camera>> {
-    let (dataset, _) = Dataset::open_within(&plan.data, 0)?;
+    let Opened { dataset, .. } = Dataset::open_within(&plan.data, 0)?;
     let (train, _) = split(&dataset, &plan.split)?;
     let shrunk = |camera: &Camera| {
         let long_side_px = camera.size_px[0].max(camera.size_px[1]).min(plan.max_size_px);
@@ -140,13 +140,13 @@ impl Session {
     /// small, the device cannot be opened, or the checkpoint is damaged or belongs to another training.
     pub fn start(plan: &TrainPlan, checkpoint: Option<Checkpoint>) -> Result<Self> {
         let _span = info_span!("prepare").entered();
-        let (mut dataset, stride) = open_dataset(plan)?;
+        let Opened { mut dataset, stride, damaged } = open_dataset(plan)?;
         let mut notes: Vec<String> = dataset
             .take_smaller_pictures(plan.max_size_px)
             .map(|folder| format!("{}: its smaller pictures suffice and are used", folder.display()))
             .into_iter()
             .collect();
-        notes.extend(Dataset::damaged_pictures(&plan.data).iter().map(|line| format!("left out: {line}")));
+        notes.extend(damaged.iter().map(|line| format!("left out: {line}")));
         let (train, held_out) = split(&dataset, &plan.split)?;
         let data = dataset.subset(&train);
         let frame = LocalFrame::of(data.cameras_of_views());
@@ -379,7 +379,7 @@ fn check_pictures(held_out: &[View], sizes: &Sizes) -> Result<()> {
 
 /// Fails if a picture of the dataset is damaged. A training leaves it out. Decodes no picture.
 pub fn check_pictures_are_whole(plan: &TrainPlan) -> Result<()> {
-    match Dataset::damaged_pictures(&plan.data).into_iter().next() {
+    match open_dataset(plan)?.damaged.into_iter().next() {
         Some(line) => bail!(line),
         None => Ok(()),
     }

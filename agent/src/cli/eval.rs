@@ -6,7 +6,7 @@ use std::path::PathBuf;
 use anyhow::{Result, ensure};
 use clap::Args;
 use cosurf_agent::{evaluate, viewing};
-use cosurf_scene::{Camera, Dataset, LocalFrame, Shrinking, View};
+use cosurf_scene::{Camera, Dataset, LocalFrame, Opened, Shrinking, View};
 
 use super::arguments::{Common, ViewingArgs};
 
@@ -27,7 +27,8 @@ pub(super) struct EvalArgs {
 }
 
 pub(super) fn run(args: &EvalArgs) -> Result<()> {
-    let (mut dataset, _) = Dataset::open_within(&args.data, 0)?;
+    let Opened { mut dataset, damaged, .. } = Dataset::open_within(&args.data, 0)?;
+    damaged.iter().for_each(|line| eprintln!("left out: {line}"));
     if let Some(folder) = dataset.take_smaller_pictures(args.common.max_size_px()) {
         eprintln!("{}: its smaller pictures suffice and are used", folder.display());
     }

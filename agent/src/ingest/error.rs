@@ -45,7 +45,7 @@ pub enum IngestError {
     NotColmap {
         /// The program.
         program: PathBuf,
-        /// The first line that it prints, or how it ended.
+        /// The first line that it prints, if it prints any.
         said: String,
     },
     /// A version of COLMAP has other options.

@@ -83,7 +83,7 @@ impl Given {
         let stage =
             Stage { kind: IngestStage::Undistorting, commands, inputs, removed: folders.clone(), folders };
         Stages::new(colmap, work, self.key, tell).run(&stage)?;
-        let (mut dataset, _) = Dataset::open_within(&folder, usize::MAX)?;
+        let mut dataset = Dataset::open(&folder)?;
         dataset.points.extend_from_slice(&self.points);
         Ok(dataset)
     }

@@ -1,13 +1,13 @@
 //! The photographs of a folder, and what their EXIF, their XMP and the lists beside them tell.
 
 use std::collections::hash_map::Entry;
-use std::collections::{BTreeMap, HashMap, HashSet};
+use std::collections::{BTreeMap, BTreeSet, HashMap, HashSet};
 use std::fs;
 use std::path::{Path, PathBuf};
 use std::time::UNIX_EPOCH;
 
 use cosurf_geo::{ControlPoint, Gps, PhotoInfo, read_gcp_list, read_geo_txt};
-use cosurf_scene::{Mask, Picture, SceneError, is_of_masks, mask_of};
+use cosurf_scene::{FRAMES_COMMAND, Mask, Picture, SceneError, is_of_masks, is_video, mask_of};
 
 use super::error::IngestError;
 use super::gps::{a_few, apart_m, list_elsewhere};
@@ -19,8 +19,7 @@ const DEPTH_MAX: usize = 4;
 /// Longest accepted name, bytes.
 const NAME_BYTES_MAX: usize = 1000;
 
-/// Extensions of videos, and of pictures that are not read, in lower case.
-const VIDEOS: [&str; 6] = ["mp4", "mov", "avi", "mkv", "m4v", "webm"];
+/// Extensions of pictures that are not read.
 const PICTURES: [&str; 14] =
     ["dng", "cr2", "cr3", "nef", "arw", "raf", "rw2", "orf", "heic", "heif", "tif", "tiff", "webp", "bmp"];
 
@@ -156,21 +155,23 @@ struct Others {
 impl Others {
     /// Notes a file if it is one.
     fn add(&mut self, path: &Path, name: &str) {
-        let end = path.extension().unwrap_or_default().to_string_lossy().to_lowercase();
-        let is_of = |known: &[&str]| known.contains(&end.as_str());
-        if is_of(&VIDEOS) {
+        let end = path.extension().unwrap_or_default();
+        let is_picture = PICTURES.iter().any(|known| end.eq_ignore_ascii_case(known));
+        if is_video(path) {
             self.videos.push(name.to_owned());
-        } else if is_of(&PICTURES) || path.is_symlink() {
+        } else if is_picture || path.is_symlink() {
             self.pictures.push(name.to_owned());
         }
     }
 
     /// Names and reasons, for each kind.
     fn told(&self) -> impl Iterator<Item = (String, String)> {
-        let frames = "no photographs; extract some with `ffmpeg -i VIDEO -vf fps=2 PHOTOS/%05d.jpg`, and add their places";
         let kinds = [
-            (&self.videos, frames),
-            (&self.pictures, "no JPEG or PNG that can be read; convert them, with their EXIF"),
+            (
+                &self.videos,
+                format!("no photographs; extract some with `{FRAMES_COMMAND}`, and add their places"),
+            ),
+            (&self.pictures, "no JPEG or PNG that can be read; convert them, with their EXIF".to_owned()),
         ];
         kinds.into_iter().filter(|(files, _)| !files.is_empty()).map(|(files, reason)| {
             let names = a_few(files.iter().map(String::as_str));
@@ -194,8 +195,8 @@ fn places_of_others(places: &HashMap<String, Gps>, names: &[String]) -> Option<(
     (!missing.is_empty()).then(|| ("geo.txt".to_owned(), told()))
 }
 
-/// Names of files that several folders have.
-fn repeated(names: &[String]) -> HashSet<String> {
+/// Names of files that several folders have, in their order.
+fn repeated(names: &[String]) -> BTreeSet<String> {
     let mut seen = HashSet::new();
     let lasts = names.iter().map(|name| name.rsplit('/').next().unwrap_or(name));
     lasts.filter(|last| !seen.insert(*last)).map(str::to_owned).collect()

@@ -230,11 +230,8 @@ pub(crate) mod tests {
         Client::new(Path::new("no such folder"), None, Err("too <small>".into()), None)
     }
 
-    #[test]
-    fn a_client_sees_place_accuracy_files_and_the_model() {
-        let folder = tempfile::tempdir().unwrap();
-        ply::write(&folder.path().join("global.ply"), &ground(0.0, 50.0), &LocalFrame::WORLD).unwrap();
-        let origin = Geodetic { latitude_deg: -33.5, longitude_deg: 16.4, height_m: 70.0 };
+    /// Eight of nine photographs agree.
+    fn by_gps() -> Residuals {
         let gps = GpsResiduals {
             photographs: 9,
             with_accuracy: 0,
@@ -242,7 +239,15 @@ pub(crate) mod tests {
             horizontal_rms_m: 1.25,
             vertical_rms_m: 2.5,
         };
-        let residuals = Residuals { gps: Some(gps), ..Residuals::default() };
+        Residuals { gps: Some(gps), ..Residuals::default() }
+    }
+
+    #[test]
+    fn a_client_sees_place_accuracy_files_and_the_model() {
+        let folder = tempfile::tempdir().unwrap();
+        ply::write(&folder.path().join("global.ply"), &ground(0.0, 50.0), &LocalFrame::WORLD).unwrap();
+        let origin = Geodetic { latitude_deg: -33.5, longitude_deg: 16.4, height_m: 70.0 };
+        let residuals = by_gps();
         let georeference = Georeference { residuals, ..Georeference::at(origin).unwrap() };
         let model = Walkable::read(folder.path(), Room::UNLIMITED).map_err(|error| error.to_string());
         let picture = Captioned::new("the model from above", &Picture::new([2, 2], vec![9; 12])).unwrap();
@@ -274,14 +279,7 @@ pub(crate) mod tests {
 
     #[test]
     fn residuals_of_merged_drones_are_told_with_their_names() {
-        let gps = GpsResiduals {
-            photographs: 9,
-            with_accuracy: 0,
-            agreeing: 8,
-            horizontal_rms_m: 1.25,
-            vertical_rms_m: 2.5,
-        };
-        let residuals = Residuals { gps: Some(gps), ..Residuals::default() };
+        let residuals = by_gps();
         let drone = |name: &str| DroneResiduals { name: name.into(), residuals: residuals.clone() };
         let origin = cosurf_geo::Geodetic { latitude_deg: 53.3, longitude_deg: 16.4, height_m: 70.0 };
         let drones = vec![drone("east"), drone("<west>")];

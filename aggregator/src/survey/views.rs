@@ -126,7 +126,8 @@ impl<'a> Picture<'a> {
         self.add_along(views, at, DVec3::length);
     }
 
-    /// `extent_m` tells the length that counts of the ray from the eye to the point.
+    /// Counts the picture for a point. `extent_m` makes of the vector from the camera to the point the length, metres, in which
+    /// differences are told: its height for pixels of the map, all of it for splats.
     fn add_along(&self, views: &mut Views, at: DVec3, extent_m: impl Fn(DVec3) -> f64) {
         let Some((px, depth_m)) = self.map.camera.project_with_depth(at) else { return };
         let Some(shown_m) = self.depth_m(px) else { return };

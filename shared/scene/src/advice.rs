@@ -13,12 +13,21 @@ const VIDEOS: [&str; 6] = ["mp4", "mov", "avi", "mkv", "m4v", "webm"];
 /// Extensions of archives.
 const ARCHIVES: [&str; 5] = ["zip", "tar", "gz", "7z", "rar"];
 
+/// Makes photographs of a video.
+pub const FRAMES_COMMAND: &str = "ffmpeg -i VIDEO -vf fps=2 PHOTOS/%05d.jpg";
+
+/// Whether a file is a video by its name.
+pub fn is_video(path: &Path) -> bool {
+    VIDEOS.iter().any(|known| has_extension(path, known))
+}
+
 /// What to do with a file that is no `transforms.json`; `None` if it may be one.
 pub(crate) fn for_file(path: &Path) -> Option<String> {
     let is = |known: &[&str]| known.iter().any(|known| has_extension(path, known));
-    if is(&VIDEOS) {
-        let frames = "extract photographs with `ffmpeg -i VIDEO -vf fps=2 PHOTOS/%05d.jpg`";
-        return Some(format!("is a video; {frames}, then run `cosurf-agent ingest PHOTOS --out DATA`"));
+    if is_video(path) {
+        return Some(format!(
+            "is a video; extract photographs with `{FRAMES_COMMAND}`, then run `cosurf-agent ingest PHOTOS --out DATA`"
+        ));
     }
     if is(&ARCHIVES) {
         return Some("is an archive; unpack it, and give the folder".into());

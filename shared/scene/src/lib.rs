@@ -59,6 +59,7 @@ mod transforms;
 pub mod turn;
 mod xml;
 
+pub use advice::{FRAMES_COMMAND, is_video};
 pub use base::Base;
 pub use cache::PictureCache;
 pub use camera::{Camera, Pose, evenly_spaced};
@@ -68,6 +69,7 @@ pub use error::SceneError;
 pub use footprint::{Footprint, Ground, footprints};
 pub use frustum::{Frustum, Watchers};
 pub use lens::{Distortion, FullBrown, Lens};
+pub use loader::Opened;
 pub use local_frame::{LocalFrame, ORIGIN_MAX};
 pub use lock::FolderLock;
 pub use mask::Mask;

@@ -19,6 +19,17 @@ const NO_VIEWS: &str = "has no pictures with poses";
 /// Most that the sparse points take that masks are compared with, bytes.
 const NOTES_POINTS_BYTES: usize = 4 << 20;
 
+/// An opened dataset, and what of it is not used.
+#[derive(Clone, Debug)]
+pub struct Opened {
+    /// The dataset.
+    pub dataset: Dataset,
+    /// Of so many sparse points in a row, one was kept.
+    pub stride: usize,
+    /// A line for each picture that is damaged, whose view is left out.
+    pub damaged: Vec<String>,
+}
+
 impl Dataset {
     /// Opens a COLMAP model, a `transforms.json`, a `reconstruction.json` of OpenSfM, or the cameras of Metashape (XML) or
     /// RealityCapture (CSV or XMP). For all but COLMAP's, `path` is the file or its folder. For a COLMAP model, `path` is the
@@ -30,13 +41,13 @@ impl Dataset {
     /// invalid or repeated names; pictures that are missing, damaged in their header or of another
     /// aspect ratio.
     pub fn open(path: &Path) -> Result<Self, SceneError> {
-        Ok(Self::open_within(path, usize::MAX)?.0)
+        Ok(Self::open_within(path, usize::MAX)?.dataset)
     }
 
     /// As [`Self::open`], with points that take at most about `points_bytes_max`. If there are more, every second one is
-    /// left out, or three of four, and so on. Also returns of how many points in a row one was kept. Views whose pictures are
-    /// damaged are left out, unless these are more than half of all; [`Self::damaged_pictures`] tells them.
-    pub fn open_within(path: &Path, points_bytes_max: usize) -> Result<(Self, usize), SceneError> {
+    /// left out, or three of four, and so on. Views whose pictures are damaged (cut short, empty, or no pictures) are left out,
+    /// unless these are more than half of all.
+    pub fn open_within(path: &Path, points_bytes_max: usize) -> Result<Opened, SceneError> {
         let (mut dataset, stride) = read(path, points_bytes_max)?;
         if dataset.views.iter().any(|view| view.path.as_os_str().is_empty()) {
             let reason = "holds the cameras of a model, but no pictures; name the dataset that has them";
@@ -44,10 +55,10 @@ impl Dataset {
         }
         order(path, &mut dataset)?;
         refuse_missing(&dataset.views)?;
-        leave_out_damaged(&mut dataset)?;
+        let damaged = leave_out_damaged(&mut dataset)?;
         mask_files::refuse_missing(&dataset.views)?;
         dataset.views.iter_mut().try_for_each(fit_camera)?;
-        Ok((dataset, stride))
+        Ok(Opened { dataset, stride, damaged })
     }
 
     /// The views of a dataset or of a model's folder, in which `cameras.json` has the cameras, without sparse points. The
@@ -79,13 +90,6 @@ impl Dataset {
         notes.extend(dataset.iter().flat_map(mask_files::notes));
         notes.extend(tie_points::note(path));
         notes
-    }
-
-    /// A line for each picture that is damaged: cut short, empty, or no picture. Pixels are not decoded. Nothing if the dataset
-    /// cannot be read.
-    pub fn damaged_pictures(path: &Path) -> Vec<String> {
-        let Ok((dataset, _)) = read(path, 0) else { return Vec::new() };
-        damaged(&dataset.views).into_iter().map(|(_, error)| error.to_string()).collect()
     }
 
     /// Takes the pictures from a folder beside theirs that has smaller ones, `images_2`, `images_4` or `images_8`, if it has
@@ -229,27 +233,23 @@ pub(crate) fn refuse_missing(views: &[View]) -> Result<(), SceneError> {
     Err(SceneError::malformed(&first.path, reason))
 }
 
-/// Indices of the views whose pictures are there and damaged, and what is wrong.
-fn damaged(views: &[View]) -> Vec<(usize, SceneError)> {
-    let there = views.iter().enumerate().filter(|(_, view)| view.path.is_file());
-    there.filter_map(|(i, view)| Some((i, Picture::size_of_whole(&view.path).err()?))).collect()
-}
-
-/// Leaves out views with damaged pictures: a disk that was full, or a card that was pulled out, damages the last one. If more
-/// than half are damaged, something else is wrong.
-fn leave_out_damaged(dataset: &mut Dataset) -> Result<(), SceneError> {
-    let damaged = damaged(&dataset.views);
-    let count = damaged.len();
-    let indices: Vec<usize> = damaged.iter().map(|(i, _)| *i).collect();
-    match damaged.into_iter().next() {
-        None => {}
-        Some((_, error)) if 2 * count > dataset.views.len() => return Err(error),
-        Some(_) => {
-            let whole = (0..dataset.views.len()).filter(|i| indices.binary_search(i).is_err());
-            *dataset = dataset.subset(&whole.collect::<Vec<usize>>());
+/// Leaves out views whose pictures are damaged, and returns a line for each: a disk that was full, or a card that was
+/// pulled out, damages the last one. If more than half are damaged, something else is wrong. Pixels are not decoded.
+fn leave_out_damaged(dataset: &mut Dataset) -> Result<Vec<String>, SceneError> {
+    let (mut whole, mut damaged) = (Vec::new(), Vec::new());
+    for (i, view) in dataset.views.iter().enumerate() {
+        match Picture::size_of_whole(&view.path) {
+            Ok(_) => whole.push(i),
+            Err(error) => damaged.push(error),
         }
     }
-    Ok(())
+    if damaged.len() > whole.len() {
+        return Err(damaged.swap_remove(0));
+    }
+    if !damaged.is_empty() {
+        *dataset = dataset.subset(&whole);
+    }
+    Ok(damaged.iter().map(SceneError::to_string).collect())
 }
 
 /// Rescales the view's camera to the size of its picture on disk. Fails if the size cannot be read, or if the picture's

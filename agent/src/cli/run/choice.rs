@@ -52,7 +52,7 @@ pub(super) fn frame(config: &AgentConfig, answer: Option<&Answer>) -> Result<Fra
 /// Chooses the views: those that the configuration names, or else those of the agent's cell, or else all. Sets them in
 /// `plan`, and returns the event that tells the choice.
 pub(super) fn choose(plan: &mut TrainPlan, answer: Option<&Answer>, resumed: bool) -> Result<AgentEvent> {
-    let (dataset, _) = open_dataset(plan)?;
+    let dataset = open_dataset(plan)?.dataset;
     let of = dataset.views.len();
     let cell = answer.map(|answer| answer.cell.as_ref());
     let by = match (&plan.split, cell) {

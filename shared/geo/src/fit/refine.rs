@@ -89,7 +89,8 @@ impl Spread {
     }
 }
 
-/// Standard deviations of residuals, horizontal and vertical, in these units of each place.
+/// Standard deviations of the residuals of places, horizontal and vertical. Each residual is divided by what `unit_m` tells of
+/// its place first.
 fn scatter(places: &[&Sighting], similarity: &Similarity, unit_m: fn(&Sighting) -> [f64; 2]) -> [f64; 2] {
     let off = |place: &Sighting| place.residual(similarity);
     let horizontal = places.iter().map(|place| off(place).truncate().length() / unit_m(place)[0]);

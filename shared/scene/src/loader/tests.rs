@@ -143,11 +143,10 @@ fn empty_pictures_are_named_and_a_single_one_is_left_out() {
     let last = &whole.views[whole.views.len() - 1];
     let fault = |name: &str| format!("images/{name}: is empty (0 bytes)");
     fs::write(root.path().join("images").join(&last.name), b"").unwrap();
-    let dataset = Dataset::open(root.path()).unwrap();
+    let Opened { dataset, damaged: told, .. } = Dataset::open_within(root.path(), usize::MAX).unwrap();
     assert_eq!((dataset.views.len(), dataset.find(&last.name)), (whole.views.len() - 1, None));
     let views = dataset.views.len() as u32;
     assert!(dataset.points.iter().all(|point| point.views.iter().all(|view| *view < views)));
-    let told = Dataset::damaged_pictures(root.path());
     assert!(told.len() == 1 && told[0].contains(&fault(&last.name)), "{told:?}");
     whole.views.iter().for_each(|view| fs::write(&view.path, b"").unwrap());
     let text = complaint(root.path());
