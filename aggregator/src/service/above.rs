@@ -29,9 +29,21 @@ pub(crate) enum FromAbove {
     Had(ModelHeader),
     /// This revision of the model above is complete on the disk, and the aggregator above offers it now.
     Came(ModelHeader),
+    /// The aggregator above has stored the edge's own newest revision.
+    HasOwn,
     /// No model is to be expected for now: the aggregator above is out of reach, it refuses the edge's model, or its
     /// own is too large for the edge.
     Nothing,
+}
+
+/// What revisions an edge has of its own.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub(super) enum Own {
+    None,
+    /// There are some, or were: their files may be lost.
+    Some,
+    /// One has a higher number than what the devices got from above.
+    Newest,
 }
 
 /// The service's end of an upstream link.
@@ -59,6 +71,10 @@ pub(super) struct Above {
     is_answering: bool,
     /// Until when the edge's own model waits for the next model from above.
     waits_until: Option<Duration>,
+    /// Whether the aggregator above has stored the edge's last revision.
+    has_own: bool,
+    /// Whether it has offered the newest model again since the edge's last revision.
+    is_offered_again: bool,
 }
 
 impl Above {
@@ -71,33 +87,49 @@ impl Above {
             handing_on: None,
             is_answering: true,
             waits_until: None,
+            has_own: false,
+            is_offered_again: false,
         }
     }
 
-    /// Takes what the link tells. `has_own` is whether the edge has a model of its own. Returns a model to hand on.
-    pub(super) fn take_news(&mut self, has_own: bool) -> Option<(ModelHeader, bool)> {
+    /// Takes what the link tells. Returns a model to hand on, and whether it is the answer to the edge's last revision. `own`
+    /// tells what revisions the edge has of its own. If one is the newest, the answer to it may be the model that came last:
+    /// nothing in it has changed.
+    pub(super) fn take_news(&mut self, own: Own) -> Option<(ModelHeader, bool)> {
         let mut new = None;
         while let Ok(news) = self.link.news.try_recv() {
             let (header, is_answer) = match news {
                 FromAbove::Had(header) => (header, false),
                 FromAbove::Came(header) => (header, true),
+                FromAbove::HasOwn => {
+                    self.has_own = true;
+                    continue;
+                }
                 FromAbove::Nothing => {
                     self.is_answering = false;
                     continue;
                 }
             };
-            if !has_own {
+            if own == Own::None {
                 self.stale = Some(header.model);
             } else if self.newest != Some(header) && Some(header.model) > self.stale {
                 self.newest = Some(header);
+                self.is_offered_again = false;
                 new = Some((header, is_answer));
+            } else if self.newest == Some(header) {
+                self.is_offered_again |= is_answer;
             }
+        }
+        let is_answered = own == Own::Newest && self.has_own;
+        if new.is_none() && is_answered && std::mem::take(&mut self.is_offered_again) {
+            new = self.newest.map(|header| (header, true));
         }
         new
     }
 
     /// Whether the edge's own model must wait for the next model from above.
     pub(super) fn waits(&mut self, now: Duration) -> bool {
+        (self.has_own, self.is_offered_again) = (false, false);
         if self.is_answering {
             self.waits_until.get_or_insert(now.saturating_add(self.wait));
         }
@@ -323,20 +355,38 @@ mod tests {
         assert_eq!(handed.number(), Some(ModelId(4)), "the edge counts what its devices get");
         assert!(above.waits(s(80)) && !above.has_waited(s(80)), "it has answered");
         tell.send(FromAbove::Nothing).unwrap();
-        assert_eq!(above.take_news(true), None);
+        assert_eq!(above.take_news(Own::Some), None);
         assert!(above.has_waited(s(80)), "the aggregator above is out of reach");
     }
 
     #[test]
     fn a_model_from_above_is_handed_on_once_and_only_if_it_is_newer_than_the_edges_first() {
         let (_folder, tell, mut above) = above();
-        let mut take = |number, has_own| {
+        let mut take = |number, own| {
             tell.send(FromAbove::Came(offer(number).header)).unwrap();
-            above.take_news(has_own).map(|(header, _)| header.model.0)
+            above.take_news(own).map(|(header, _)| header.model.0)
         };
-        assert_eq!(take(3, false), None);
-        assert_eq!(take(3, true), None, "it was merged without the edge's model");
-        assert_eq!((take(4, true), take(4, true), take(5, true)), (Some(4), None, Some(5)));
+        assert_eq!(take(3, Own::None), None);
+        assert_eq!(take(3, Own::Some), None, "it was merged without the edge's model");
+        assert_eq!((take(4, Own::Some), take(4, Own::Some), take(5, Own::Some)), (Some(4), None, Some(5)));
+    }
+
+    #[test]
+    fn the_model_that_came_last_is_the_answer_if_it_is_offered_again_after_the_edges_next() {
+        let (_folder, tell, mut above) = above();
+        let header = offer(4).header;
+        let mut take = |news: &[FromAbove], own| {
+            news.iter().for_each(|news| tell.send(*news).unwrap());
+            above.take_news(own)
+        };
+        assert_eq!(take(&[FromAbove::Had(header)], Own::Some), Some((header, false)));
+        assert_eq!(take(&[FromAbove::Came(header)], Own::Newest), None, "it does not have the edge's yet");
+        assert_eq!(take(&[FromAbove::HasOwn], Own::Some), None, "the devices have nothing newer");
+        assert_eq!(take(&[], Own::Newest), Some((header, true)));
+        assert_eq!(take(&[], Own::Newest), None, "once");
+        assert!(above.waits(Duration::ZERO));
+        tell.send(FromAbove::Came(header)).unwrap();
+        assert_eq!(above.take_news(Own::Newest), None, "it does not have the edge's next yet");
     }
 
     #[test]

@@ -181,6 +181,7 @@ impl UpstreamNode {
             }
             NodeEvent::Denied(reason) => Some(UpstreamEvent::DeniedAbove { reason }),
             NodeEvent::Uploaded(key, progress) => {
+                self.tell(FromAbove::HasOwn);
                 Some(UpstreamEvent::SentUp { revision: key.model.0, bytes_sent: progress.bytes_sent })
             }
             NodeEvent::UploadRefused { key, reason, .. } => {

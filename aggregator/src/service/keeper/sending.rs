@@ -7,7 +7,7 @@ use cosurf_link::{ModelKey, Node, Offer};
 use cosurf_wire::{DeviceId, ModelHeader, ModelId};
 
 use super::Keeper;
-use crate::service::above::Above;
+use crate::service::above::{Above, Own};
 use crate::service::error::ServiceError;
 use crate::service::event::ServiceEvent;
 use crate::service::record::{KeptOut, Merging};
@@ -60,9 +60,15 @@ impl Keeper {
 
     /// Hands on what came from the aggregator above. Sends the service's own revision once it has waited long enough.
     pub(super) fn follow_above(&mut self, node: &mut Node, now: Duration) -> Result<(), ServiceError> {
-        let has_own = self.global.is_some() && !self.shelf.newest().is_empty();
+        // A revision whose file is lost was there, and the aggregator above may have it.
+        let has_own = (self.global.is_some() || self.used.is_some()) && !self.shelf.newest().is_empty();
+        let own = match has_own {
+            false => Own::None,
+            true if self.own_number() > self.handed.number() => Own::Newest,
+            true => Own::Some,
+        };
         let Some(above) = &mut self.above else { return Ok(()) };
-        if let Some((header, is_answer)) = above.take_news(has_own) {
+        if let Some((header, is_answer)) = above.take_news(own) {
             self.hand_on(header, is_answer)?;
         }
         let Some(above) = &mut self.above else { return Ok(()) };

@@ -397,8 +397,7 @@ fn every_drone_ends_with_the_clouds_tiles_although_files_of_all_kinds_are_damage
             files.sort_by_cached_key(|_| dice.below(1 << 30));
             let mut kinds = BTreeSet::new();
             files.retain(|file| kinds.insert(file.parent().map(Path::to_owned)));
-            // Without the last kind, dead links, which are tried file by file elsewhere.
-            damaged.extend(files.into_iter().map(|file| (file, SWEPT[dice.below(SWEPT.len() - 1)])));
+            damaged.extend(files.into_iter().map(|file| (file, SWEPT[dice.below(SWEPT.len())])));
         }
         for (file, (name, damage)) in damaged {
             println!("life {life}: {}: {name}", file.display());
