@@ -59,7 +59,7 @@ shaders! {
     /// Counts, for each block of keys, how often each digit occurs.
     SORT_COUNT: "sort_count";
     /// Sorts keys and values by one digit of the keys.
-    SORT_SCATTER: "sort_scatter";
+    SORT_SCATTER: "sort_scatter", "group_scan";
     /// Lists the number of tiles of each visible splat, nearest splat first.
     ORDER_COUNTS: "order_counts";
     /// Writes the splat–tile pairs of each splat.

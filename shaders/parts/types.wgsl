@@ -8,8 +8,8 @@ const TILE_PIXELS: u32 = 256u;
 const GROUP: u32 = 256u;
 // How many numbers one workgroup scans or sorts: 4 for each invocation.
 const BLOCK: u32 = 1024u;
-// Number of values of a digit. Keys are sorted digit by digit; a digit has 4 bits.
-const DIGITS: u32 = 16u;
+// Number of values of a digit. Keys are sorted digit by digit; a digit has 8 bits.
+const DIGITS: u32 = 256u;
 
 // Splats nearer than this to the camera's plane are not drawn (3DGS; scene units).
 const NEAR: f32 = 0.2;
@@ -119,7 +119,7 @@ struct SortStep {
 }
 
 // A scan: each number is replaced by the sum of the numbers before it. If `digits` is 0, counters[counter] numbers are
-// scanned. If `digits` is 1, the digit counts of counters[counter] keys are scanned, 16 for each block of keys. The
+// scanned. If `digits` is 1, the digit counts of counters[counter] keys are scanned, 256 for each block of keys. The
 // total goes to counters[total].
 struct ScanStep {
     counter: u32,

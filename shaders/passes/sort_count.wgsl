@@ -1,5 +1,5 @@
-// Counts how often each value of the current digit (4 bits) occurs in each block of keys. The count goes to
-// counts[digit * blocks + block].
+// Counts how often each value of the current digit (8 bits) occurs in each block of keys. The count goes to
+// counts[digit * blocks + block]. A workgroup has as many lanes (invocations) as a digit has values.
 // Parts: types.
 
 @group(0) @binding(0) var<uniform> step: SortStep;
@@ -16,9 +16,7 @@ fn sort_count(@builtin(workgroup_id) group: vec3<u32>, @builtin(local_invocation
     if (block * BLOCK >= count) {
         return;
     }
-    if (lane < DIGITS) {
-        atomicStore(&histogram[lane], 0u);
-    }
+    atomicStore(&histogram[lane], 0u);
     workgroupBarrier();
     for (var k = lane; k < BLOCK; k += GROUP) {
         let at = block * BLOCK + k;
@@ -27,7 +25,5 @@ fn sort_count(@builtin(workgroup_id) group: vec3<u32>, @builtin(local_invocation
         }
     }
     workgroupBarrier();
-    if (lane < DIGITS) {
-        counts[lane * blocks_of(count) + block] = atomicLoad(&histogram[lane]);
-    }
+    counts[lane * blocks_of(count) + block] = atomicLoad(&histogram[lane]);
 }

@@ -1,5 +1,6 @@
-// Moves keys and values to their places in the order of one digit. Keys with equal digits keep their order.
-// Parts: types.
+// Moves keys and values to their places in the order of one digit. Keys with equal digits keep their order. Each
+// workgroup first sorts the keys of its block by the low half of the digit, then by the high half, in its own memory.
+// Parts: types, group_scan.
 
 @group(0) @binding(0) var<uniform> step: SortStep;
 @group(0) @binding(1) var<storage, read> counters: array<u32>;
@@ -11,67 +12,92 @@
 @group(0) @binding(6) var<storage, read_write> sorted_keys: array<u32>;
 @group(0) @binding(7) var<storage, read_write> sorted_values: array<u32>;
 
-// For each digit and lane, the number of keys with this digit in the lanes before. An entry holds the counts of two
-// digits, 16 bits each. Each pair of digits has one row with an entry for each lane.
-var<workgroup> before: array<u32, DIGITS / 2u * GROUP>;
-var<workgroup> sums: array<u32, GROUP>;
+// Bits of half a digit, and half the number of its values.
+const HALF_BITS: u32 = 4u;
+const ROWS: u32 = 8u;
+
+// The keys of the block in their order so far: the digit in the lowest 8 bits, above it the place where the key came
+// from.
+var<workgroup> ordered: array<u32, BLOCK>;
+// Row r has an entry for each lane: in its lowest 16 bits the number of the lane's keys whose half digit is r, in its
+// highest those whose half digit is r + ROWS. After the scan: the number of keys before them.
+var<workgroup> before: array<u32, ROWS * GROUP>;
+// For each digit that the block has, its first place in the block, then the distance from there to its place among all
+// keys.
+var<workgroup> places: array<u32, DIGITS>;
 
 @compute @workgroup_size(GROUP)
 fn sort_scatter(@builtin(workgroup_id) group: vec3<u32>, @builtin(local_invocation_index) lane: u32) {
-    let block = group_index(group);
+    let first = group_index(group) * BLOCK;
     let count = counters[step.counter];
-    if (block * BLOCK >= count) {
+    if (first >= count) {
         return;
     }
-    for (var pair = 0u; pair < DIGITS / 2u; pair++) {
-        before[pair * GROUP + lane] = 0u;
+    // Each lane takes four consecutive keys, so that the order of the lanes is the order of the keys. Places beyond the
+    // last key get the largest digit, and so stay behind all keys.
+    var own: vec4<u32>;
+    for (var k = 0u; k < 4u; k++) {
+        let place = 4u * lane + k;
+        var digit = DIGITS - 1u;
+        if (first + place < count) {
+            digit = (keys[first + place] >> step.shift) & digit;
+        }
+        own[k] = digit | (place << (2u * HALF_BITS));
     }
-    // Each lane takes four consecutive keys, so that the order of the lanes is the order of the keys.
-    let first = block * BLOCK + 4u * lane;
-    for (var at = first; at < min(first + 4u, count); at++) {
-        let digit = (keys[at] >> step.shift) & (DIGITS - 1u);
-        before[(digit / 2u) * GROUP + lane] += 1u << (16u * (digit & 1u));
+    order_by_half(own, 0u, lane);
+    for (var k = 0u; k < 4u; k++) {
+        own[k] = ordered[4u * lane + k];
+    }
+    order_by_half(own, HALF_BITS, lane);
+    for (var place = lane; place < BLOCK; place += GROUP) {
+        let digit = ordered[place] & (DIGITS - 1u);
+        if (place == 0u || (ordered[max(place, 1u) - 1u] & (DIGITS - 1u)) != digit) {
+            places[digit] = place;
+        }
     }
     workgroupBarrier();
-    sum_rows(lane);
-    let blocks = blocks_of(count);
-    for (var at = first; at < min(first + 4u, count); at++) {
-        let key = keys[at];
-        let digit = (key >> step.shift) & (DIGITS - 1u);
-        let half = 16u * (digit & 1u);
-        let row = (digit / 2u) * GROUP + lane;
-        let rank = (before[row] >> half) & 0xffffu;
-        before[row] += 1u << half;
-        let counted = digit * blocks + block;
-        let place = counts[counted] + block_sums[counted / BLOCK] + rank;
-        sorted_keys[place] = key;
-        sorted_values[place] = values[at];
+    let counted = lane * blocks_of(count) + first / BLOCK;
+    places[lane] = counts[counted] + block_sums[counted / BLOCK] - places[lane];
+    workgroupBarrier();
+    for (var place = lane; place < min(BLOCK, count - first); place += GROUP) {
+        let digit = ordered[place] & (DIGITS - 1u);
+        let old = first + (ordered[place] >> (2u * HALF_BITS));
+        let new_place = places[digit] + place;
+        sorted_keys[new_place] = keys[old];
+        sorted_values[new_place] = values[old];
     }
 }
 
-// Replaces each number in a row of `before` by the sum of the numbers before it in the row. 32 lanes process a row, 8
-// numbers each.
-fn sum_rows(lane: u32) {
-    let first = 8u * lane;
-    var own = 0u;
-    for (var k = 0u; k < 8u; k++) {
-        own += before[first + k];
+// Writes the keys of all lanes to `ordered`, in the order of the half digit that begins at bit `shift`. A lane has four
+// keys, and equal half digits keep their order.
+fn order_by_half(own: vec4<u32>, shift: u32, lane: u32) {
+    for (var row = 0u; row < ROWS; row++) {
+        before[row * GROUP + lane] = 0u;
     }
-    let place = lane & 31u;
-    var sum = own;
-    sums[lane] = sum;
-    for (var reach = 1u; reach < 32u; reach *= 2u) {
-        workgroupBarrier();
-        let more = select(0u, sums[max(lane, reach) - reach], place >= reach);
-        workgroupBarrier();
-        sum += more;
-        sums[lane] = sum;
+    for (var k = 0u; k < 4u; k++) {
+        let half = (own[k] >> shift) & (2u * ROWS - 1u);
+        before[(half % ROWS) * GROUP + lane] += 1u << (16u * (half / ROWS));
     }
-    var running = sum - own;
-    for (var k = 0u; k < 8u; k++) {
-        let value = before[first + k];
-        before[first + k] = running;
+    workgroupBarrier();
+    var sum = 0u;
+    for (var k = 0u; k < ROWS; k++) {
+        sum += before[ROWS * lane + k];
+    }
+    let sums = sum_before(sum, lane);
+    // The larger half digits come after all smaller ones.
+    var running = sums.x + (sums.y << 16u);
+    for (var k = 0u; k < ROWS; k++) {
+        let value = before[ROWS * lane + k];
+        before[ROWS * lane + k] = running;
         running += value;
+    }
+    workgroupBarrier();
+    for (var k = 0u; k < 4u; k++) {
+        let half = (own[k] >> shift) & (2u * ROWS - 1u);
+        let row = (half % ROWS) * GROUP + lane;
+        let bit = 16u * (half / ROWS);
+        ordered[(before[row] >> bit) & 0xffffu] = own[k];
+        before[row] += 1u << bit;
     }
     workgroupBarrier();
 }

@@ -23,7 +23,7 @@ const STEPS: u32 = 20;
 const HEIGHT: f64 = 6.0;
 const BREADTH: f64 = 8.0;
 /// Steps of the sort of the splats of one view by depth; the other steps sort pairs by tile.
-const DEPTH_DIGITS: f64 = 8.0;
+const DEPTH_DIGITS: f64 = 4.0;
 
 fn main() -> Result<(), Box<dyn std::error::Error>> {
     let arguments: Vec<String> = std::env::args().skip(1).collect();

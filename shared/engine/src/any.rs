@@ -129,6 +129,10 @@ impl Backend for AnyBackend {
         pass!(self.rendering())
     }
 
+    fn with_threads<R: Send>(&self, job: impl FnOnce() -> R + Send) -> R {
+        each_backend!(self, backend => backend.with_threads(job))
+    }
+
     fn take_shapes(&mut self) -> Shapes {
         pass!(self.take_shapes())
     }

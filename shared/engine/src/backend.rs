@@ -413,6 +413,11 @@ pub trait Backend {
     /// The last blended picture.
     fn rendering(&self) -> Rendering;
 
+    /// Runs a job on the processor with the threads of this backend.
+    fn with_threads<R: Send>(&self, job: impl FnOnce() -> R + Send) -> R {
+        job()
+    }
+
     /// Returns the shapes and statistics for refinement, and resets the statistics to zero.
     fn take_shapes(&mut self) -> Shapes;
 

@@ -367,7 +367,8 @@ impl<B: Backend> Trainer<B> {
             step: self.steps_done,
         };
         let shapes = self.backend.take_shapes();
-        self.backend.edit(&refine(&shapes, &limits));
+        let edit = self.backend.with_threads(|| refine(&shapes, &limits));
+        self.backend.edit(&edit);
     }
 }
 

@@ -260,8 +260,13 @@ impl Backend for CpuBackend {
         rendering::rendering(&self.image, self.seen_view())
     }
 
+    fn with_threads<R: Send>(&self, job: impl FnOnce() -> R + Send) -> R {
+        self.pool.install(job)
+    }
+
     fn take_shapes(&mut self) -> Shapes {
-        self.model.take_shapes()
+        let Self { pool, model, .. } = self;
+        pool.install(|| model.take_shapes())
     }
 
     fn clear_scores(&mut self) {
@@ -286,7 +291,8 @@ impl Backend for CpuBackend {
     }
 
     fn edit(&mut self, edit: &Edit) {
-        self.model.edit(edit);
+        let Self { pool, model, .. } = self;
+        pool.install(|| model.edit(edit));
     }
 
     fn cap_opacity(&mut self, opacity: f32) {

@@ -1,6 +1,7 @@
 //! The splats of a backend with their training state, and how splats are added and removed.
 
 use cosurf_scene::Splats;
+use rayon::prelude::*;
 
 use super::blocks::{self, Blocks};
 use crate::backend::{Birth, Edit, Shapes};
@@ -98,13 +99,14 @@ impl Model {
     pub(crate) fn take_shapes(&mut self) -> Shapes {
         let (params, stats) = (&self.params, &self.stats);
         let n = params.len();
-        let views: Vec<f32> = (0..n).map(|i| stats.value(i, STAT_VIEWS)).collect();
-        let mean = |row: usize| (0..n).map(|i| stats.value(i, row) / views[i].max(1.0)).collect();
+        let each = || (0..n).into_par_iter();
+        let views: Vec<f32> = each().map(|i| stats.value(i, STAT_VIEWS)).collect();
+        let mean = |row: usize| each().map(|i| stats.value(i, row) / views[i].max(1.0)).collect();
         let shapes = Shapes {
-            means: (0..n).map(|i| [0, 1, 2].map(|k| params.value(i, MEAN + k))).collect(),
-            quats: (0..n).map(|i| [0, 1, 2, 3].map(|k| params.value(i, QUAT + k))).collect(),
-            log_scales: (0..n).map(|i| [0, 1, 2].map(|k| params.value(i, LOG_SCALE + k))).collect(),
-            opacity_logits: (0..n).map(|i| params.value(i, OPACITY)).collect(),
+            means: each().map(|i| [0, 1, 2].map(|k| params.value(i, MEAN + k))).collect(),
+            quats: each().map(|i| [0, 1, 2, 3].map(|k| params.value(i, QUAT + k))).collect(),
+            log_scales: each().map(|i| [0, 1, 2].map(|k| params.value(i, LOG_SCALE + k))).collect(),
+            opacity_logits: each().map(|i| params.value(i, OPACITY)).collect(),
             screen_gradients: mean(STAT_SCREEN_GRADIENT),
             absolute_gradients: mean(STAT_ABSOLUTE_GRADIENT),
             views,
@@ -124,7 +126,7 @@ impl Model {
 
         // A new splat may take the place of a removed splat from which another new splat is copied, so all copies are
         // made first.
-        let children: Vec<Vec<f32>> = edit.births.iter().map(|birth| self.numbers_of(birth)).collect();
+        let children: Vec<Vec<f32>> = edit.births.par_iter().map(|birth| self.numbers_of(birth)).collect();
         let free = edit.deaths.iter().map(|i| *i as usize).chain(old_len..);
         for (numbers, place) in children.iter().zip(free) {
             for (row, value) in numbers.iter().enumerate() {

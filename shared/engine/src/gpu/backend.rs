@@ -5,8 +5,9 @@
 //! refinements and checkpoints, read and write the numbers of the splats.
 
 use cosurf_scene::{Camera, Splats};
+use rayon::prelude::*;
 
-use super::buffer::{Buffer, read_together};
+use super::buffer::{Buffer, read_together, read_with};
 use super::context::{Gpu, GpuError};
 use super::draw::{Drawing, counts};
 use super::edit::Editor;
@@ -21,7 +22,8 @@ use crate::backend::{
 use crate::budget::{Capacity, PROJECTED_BYTES};
 use crate::layout::harmonics;
 use crate::layout::rows::{
-    GRADIENT_RGB, GRADIENT_ROWS, LOG_SCALE, MEAN, OPACITY, QUAT, SCORE_ROWS, SH, STAT_ROWS,
+    GRADIENT_RGB, GRADIENT_ROWS, LOG_SCALE, MEAN, OPACITY, QUAT, SCORE_ROWS, SH, STAT_ABSOLUTE_GRADIENT,
+    STAT_ROWS, STAT_SCREEN_GRADIENT, STAT_VIEWS,
 };
 
 const _: () = assert!(size_of::<Projected>() == PROJECTED_BYTES, "the budget counts a projected splat right");
@@ -71,6 +73,23 @@ impl GpuBackend {
 
     fn rows<const N: usize>(&self, buffer: &Buffer<f32>) -> [Vec<f32>; N] {
         std::array::from_fn(|row| self.row(buffer, row))
+    }
+}
+
+/// The shapes and mean statistics of `len` splats, from the rows of a model and of its statistics.
+fn shapes_of([shape, stats]: [&[f32]; 2], len: usize, stride: usize) -> Shapes {
+    let each = || (0..len).into_par_iter();
+    let shape = |row: usize, i: usize| shape[row * stride + i];
+    let views = &stats[STAT_VIEWS * stride..][..len];
+    let mean = |row: usize| each().map(|i| stats[row * stride + i] / views[i].max(1.0)).collect();
+    Shapes {
+        means: each().map(|i| [0, 1, 2].map(|k| shape(MEAN + k, i))).collect(),
+        quats: each().map(|i| [0, 1, 2, 3].map(|k| shape(QUAT + k, i))).collect(),
+        log_scales: each().map(|i| [0, 1, 2].map(|k| shape(LOG_SCALE + k, i))).collect(),
+        opacity_logits: each().map(|i| shape(OPACITY, i)).collect(),
+        screen_gradients: mean(STAT_SCREEN_GRADIENT),
+        absolute_gradients: mean(STAT_ABSOLUTE_GRADIENT),
+        views: views.to_vec(),
     }
 }
 
@@ -180,20 +199,16 @@ impl Backend for GpuBackend {
     }
 
     fn take_shapes(&mut self) -> Shapes {
-        let shape: [Vec<f32>; SH] = self.rows(&self.model.shape);
-        let [screen, views, absolute]: [Vec<f32>; STAT_ROWS] = self.rows(&self.training.stats);
-        self.training.stats.clear(&self.gpu);
-        let mean = |sums: &[f32]| sums.iter().zip(&views).map(|(sum, views)| sum / views.max(1.0)).collect();
-        let each = 0..self.model.len;
-        Shapes {
-            means: each.clone().map(|i| [0, 1, 2].map(|k| shape[MEAN + k][i])).collect(),
-            quats: each.clone().map(|i| [0, 1, 2, 3].map(|k| shape[QUAT + k][i])).collect(),
-            log_scales: each.map(|i| [0, 1, 2].map(|k| shape[LOG_SCALE + k][i])).collect(),
-            opacity_logits: shape[OPACITY].clone(),
-            screen_gradients: mean(&screen),
-            absolute_gradients: mean(&absolute),
-            views,
+        let Model { len, stride, .. } = self.model;
+        if len == 0 {
+            return Shapes::default();
         }
+        let rows = |count: usize| 0..(count - 1) * stride + len;
+        let parts = [self.model.shape.part(rows(SH)), self.training.stats.part(rows(STAT_ROWS))];
+        let shapes =
+            read_with(&self.gpu, parts, |parts| shapes_of(parts.map(bytemuck::cast_slice), len, stride));
+        self.training.stats.clear(&self.gpu);
+        shapes
     }
 
     fn clear_scores(&mut self) {

@@ -106,10 +106,19 @@ pub(super) struct Part<'a> {
 /// Reads several parts of buffers, waiting only once, after all work submitted so far. Returns zeros once the device is
 /// lost.
 pub(super) fn read_together<const N: usize>(gpu: &Gpu, parts: [Part; N]) -> [Vec<u8>; N] {
+    read_with(gpu, parts, |parts| parts.map(<[u8]>::to_vec))
+}
+
+/// As [`read_together`], but hands the bytes to `take`, where they lie in the memory that the card writes to.
+pub(super) fn read_with<const N: usize, R>(
+    gpu: &Gpu,
+    parts: [Part; N],
+    take: impl FnOnce([&[u8]; N]) -> R,
+) -> R {
     let lens = parts.each_ref().map(|part| part.bytes.end - part.bytes.start);
     let bytes: u64 = lens.iter().sum();
     if bytes == 0 {
-        return lens.map(|_| Vec::new());
+        return take(lens.map(|_| &[][..]));
     }
     let staging = gpu.device.create_buffer(&wgpu::BufferDescriptor {
         label: Some("staging"),
@@ -133,11 +142,13 @@ pub(super) fn read_together<const N: usize>(gpu: &Gpu, parts: [Part; N]) -> [Vec
     match (polled, mapped.recv(), staging.get_mapped_range(..)) {
         (Ok(_), Ok(Ok(())), Ok(view)) => {
             let mut rest = &view[..];
-            lens.map(|len| rest.split_off(..len as usize).unwrap_or_default().to_vec())
+            take(lens.map(|len| rest.split_off(..len as usize).unwrap_or_default()))
         }
         failed => {
             gpu.lose(&format!("{:?}, {:?}", failed.0, failed.1));
-            lens.map(|len| vec![0; len as usize])
+            // Whole words, because they may be read as numbers of 4 bytes.
+            let zeros = lens.map(|len| vec![0u32; len.div_ceil(4) as usize]);
+            take(zeros.each_ref().map(|zeros| bytemuck::cast_slice(zeros)))
         }
     }
 }

@@ -12,62 +12,30 @@ use super::train::Training;
 use crate::backend::{Birth, Edit};
 use crate::layout::rows::{LOG_SCALE, MEAN, OPACITY, QUAT, RECORD_LEN, SH};
 
-/// Where the numbers of a splat come from.
-#[derive(Clone, Copy, Debug, PartialEq)]
-enum Source {
-    /// From the splat with this index before the edit.
-    Old(usize),
-    /// From a new splat.
-    Born(Birth),
-}
-
-/// The source of each splat after an edit. [`Edit`] describes their order.
-fn places(len: usize, edit: &Edit) -> Vec<Source> {
-    assert!(edit.deaths.windows(2).all(|pair| pair[0] < pair[1]), "deaths ascend");
-    let mut places: Vec<Source> = (0..len).map(Source::Old).collect();
-    let mut free = edit.deaths.iter().map(|dead| *dead as usize);
-    for birth in &edit.births {
-        match free.next() {
-            Some(place) => places[place] = Source::Born(*birth),
-            None => places.push(Source::Born(*birth)),
-        }
-    }
-    let holes: Vec<usize> = free.collect();
-    let end = places.len() - holes.len();
-    let mut living = (end..places.len()).rev().filter(|place| holes.binary_search(place).is_err());
-    for hole in holes.iter().copied().take_while(|hole| *hole < end) {
-        let last = living.next().expect("as many splats live beyond the end as holes lie before it");
-        places[hole] = places[last];
-    }
-    places.truncate(end);
-    places
-}
-
-/// The moves of an edit: what changes its place, and what is born.
+/// The moves of an edit: what changes its place, and what is born. [`Edit`] describes their order.
 #[derive(Debug, PartialEq)]
-struct Moves {
+struct Moves<'a> {
     /// Place after and before the edit of each splat that moves; then for each new splat its place and its parent's.
     places: Vec<[u32; 2]>,
     /// The new splats.
-    births: Vec<Birth>,
+    births: &'a [Birth],
+    /// Number of splats after the edit.
+    len: usize,
 }
 
-impl Moves {
-    fn new(places: &[Source]) -> Self {
-        let mut moves = Self { places: Vec::new(), births: Vec::new() };
-        let mut born = Vec::new();
-        for (to, source) in (0..).zip(places) {
-            match source {
-                Source::Old(from) if *from == to as usize => {}
-                Source::Old(from) => moves.places.push([to, *from as u32]),
-                Source::Born(birth) => {
-                    born.push([to, birth.parent]);
-                    moves.births.push(*birth);
-                }
-            }
-        }
-        moves.places.append(&mut born);
-        moves
+impl<'a> Moves<'a> {
+    /// The moves in a model of `len` splats.
+    fn new(len: usize, edit: &'a Edit) -> Self {
+        let Edit { births, deaths } = edit;
+        assert!(deaths.windows(2).all(|pair| pair[0] < pair[1]), "deaths ascend");
+        let holes = &deaths[births.len().min(deaths.len())..];
+        let end = len + births.len() - deaths.len();
+        // What lives beyond the end, the last first, fills the holes before the end.
+        let living = (end as u32..len as u32).rev().filter(|place| holes.binary_search(place).is_err());
+        let fills = holes.iter().zip(living).map(|(hole, last)| [*hole, last]);
+        let free = deaths.iter().copied().chain(len as u32..);
+        let born = births.iter().zip(free).map(|(birth, place)| [place, birth.parent]);
+        Self { places: fills.chain(born).collect(), births, len: end }
     }
 }
 
@@ -101,16 +69,15 @@ impl Editor {
 
     /// Adds and removes splats. The moments of new splats and all statistics become zero.
     pub(super) fn apply(&self, gpu: &Gpu, model: &mut Model, training: &Training, edit: &Edit) {
-        let places = places(model.len, edit);
-        assert!(places.len() <= model.stride, "{} splats of {}", places.len(), model.stride);
-        let moves = Moves::new(&places);
+        let moves = Moves::new(model.len, edit);
+        assert!(moves.len <= model.stride, "{} splats of {}", moves.len, model.stride);
         training.scores.write_bytes(gpu, 0, bytemuck::cast_slice(&moves.places));
         for moments in &training.moments {
             self.move_rows(gpu, model, training, moments, &moves, Newborn::Zero);
         }
         self.move_rows(gpu, model, training, &model.sh, &moves, Newborn::Parents);
         self.move_rows(gpu, model, training, &model.shape, &moves, Newborn::Own);
-        model.len = places.len();
+        model.len = moves.len;
         training.stats.clear(gpu);
     }
 
@@ -121,7 +88,7 @@ impl Editor {
         model: &Model,
         training: &Training,
         buffer: &Buffer<f32>,
-        moves: &Moves,
+        moves: &Moves<'_>,
         newborn: Newborn,
     ) {
         let (Training { scores, records, .. }, count) = (training, moves.places.len());

@@ -1,4 +1,4 @@
-//! Running sums, and a stable radix sort with digits of 4 bits. Both work on blocks of 1024 numbers. Their results do
+//! Running sums, and a stable radix sort with digits of 8 bits. Both work on blocks of 1024 numbers. Their results do
 //! not depend on how the GPU schedules workgroups.
 
 use super::buffer::Buffer;
@@ -12,9 +12,9 @@ pub(super) const GROUP: usize = 256;
 /// Numbers that one workgroup scans or sorts, as in the shaders.
 pub(super) const BLOCK: usize = 1024;
 /// Number of values of a digit, as in the shaders.
-pub(super) const DIGITS: usize = 16;
+pub(super) const DIGITS: usize = 256;
 /// Number of bits of a digit.
-const DIGIT_BITS: u32 = 4;
+const DIGIT_BITS: u32 = DIGITS.ilog2();
 
 /// Keys to sort and their values, each in two buffers. A step of the sort reads from one and writes to the other.
 #[derive(Debug)]
@@ -69,6 +69,12 @@ impl Sorted {
 
     fn len(&self) -> usize {
         self.keys[0].len()
+    }
+
+    /// Reads keys and values after the sort.
+    #[cfg(test)]
+    pub(super) fn read(&self, gpu: &Gpu) -> [Vec<u32>; 2] {
+        [&self.keys[0], &self.values[0]].map(|buffer| buffer.read(gpu, 0..buffer.len()))
     }
 }
 

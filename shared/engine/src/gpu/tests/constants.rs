@@ -97,7 +97,8 @@ fn shared() -> BTreeMap<&'static str, Value> {
 
 /// Constants that only the shaders have: sizes for the division of work within a pass, and markers that the CPU never
 /// reads.
-const SHADERS_ONLY: [&str; 6] = ["NOT_SEEN", "NOWHERE", "SSIM_SIDE", "LANES", "PIXELS", "BATCH"];
+const SHADERS_ONLY: [&str; 8] =
+    ["NOT_SEEN", "HALF_BITS", "ROWS", "NOWHERE", "SSIM_SIDE", "LANES", "PIXELS", "BATCH"];
 
 fn integer_or_floats(module: &Module, at: Handle<Expression>) -> Option<Value> {
     match &module.global_expressions[at] {
