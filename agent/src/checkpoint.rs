@@ -209,7 +209,7 @@ pub fn write(
     let _span = debug_span!("checkpoint", step = trainer.steps_done()).entered();
     let path = path(out);
     if let Some(folder) = path.parent() {
-        std::fs::create_dir_all(folder).with_context(|| folder.display().to_string())?;
+        files::create_folder(folder)?;
     }
     let Progress { steps_done, splats_at_start, splats } = trainer.progress();
     let fingerprint = fingerprint.clone();

@@ -44,11 +44,20 @@ impl StatusBoard {
     /// Notes why the agent ends, if it does. Returns `result`.
     pub fn follow_result<T>(&self, result: anyhow::Result<T>) -> anyhow::Result<T> {
         if let Err(error) = &result {
-            let mut board = self.0.lock().unwrap_or_else(PoisonError::into_inner);
-            board.status.fail(&format!("{error:#}"));
-            board.changes += 1;
+            self.fail(&format!("{error:#}"));
         }
         result
+    }
+
+    /// Notes that somebody ends the agent.
+    pub fn stop(&self) {
+        self.fail("stopped; run the same command again to go on");
+    }
+
+    fn fail(&self, reason: &str) {
+        let mut board = self.0.lock().unwrap_or_else(PoisonError::into_inner);
+        board.status.fail(reason);
+        board.changes += 1;
     }
 
     fn read(&self) -> (AgentStatus, u64) {

@@ -4,7 +4,6 @@
 mod cli;
 
 use std::fmt::Display;
-use std::fs;
 use std::io::{self, Write};
 use std::num::NonZeroU32;
 use std::process::ExitCode;
@@ -21,6 +20,7 @@ use cosurf_contract::{Escaped, LogFormat, log};
 use cosurf_geo::Georeference;
 use cosurf_link::SerialConfig;
 use cosurf_link::serial::{DEFAULT_BAUD, GATEWAY_MESSAGE_BYTES};
+use cosurf_scene::files;
 use serde::Serialize;
 
 use cli::arguments::{ConfigArgs, HttpArgs};
@@ -169,7 +169,7 @@ fn run(args: &RunArgs) -> Result<()> {
     let mut config = args.config.read()?;
     config.open |= args.open;
     if let Some(origin) = config.origin {
-        fs::create_dir_all(&config.out).with_context(|| config.out.display().to_string())?;
+        files::create_folder(&config.out)?;
         write_georeference(Some(&Georeference::at(origin)?), &config.out)?;
     }
     let (commands, receiver) = mpsc::channel();

@@ -30,7 +30,7 @@ use std::sync::mpsc;
 use cosurf_engine::{ViewError, Views};
 use cosurf_geo::Georeference;
 use cosurf_link::BrokerAddress;
-use cosurf_scene::{Camera, Dataset, LocalFrame, SceneError, View, atomic};
+use cosurf_scene::{Camera, Dataset, LocalFrame, SceneError, View, atomic, files};
 use cosurf_wire::{ModelHeader, SiteId};
 
 use crate::broker::{Broker, Reach, local_address};
@@ -76,7 +76,7 @@ pub struct Flown {
 pub fn fly(order: &MissionOrder, around: &Surroundings) -> Result<Flown, MissionError> {
     let begun = (around.now)();
     let mut phases = Phases::begin(around, order.ingest_s);
-    fs::create_dir_all(&order.out).map_err(|cause| SceneError::io(&order.out, cause))?;
+    files::create_folder(&order.out)?;
     if let Some(city) = &order.city {
         let progress = |done, of| show_pictures(around.display, done, of);
         city::make(city, &order.settings.data, progress)?;
@@ -141,7 +141,7 @@ fn fly_round(
     around: &Surroundings,
 ) -> Result<(), MissionError> {
     let MissionOrder { settings, out, .. } = &round.order;
-    fs::create_dir_all(out).map_err(|cause| SceneError::io(out, cause))?;
+    files::create_folder(out)?;
     let plan = make_plan(dataset, settings, out, around, &format!("-round-{number}"))?;
     gather(round, around, &plan).map(drop)
 }

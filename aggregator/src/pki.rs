@@ -106,7 +106,7 @@ pub struct Pki {
 impl Pki {
     /// Opens the folder, and makes the authority if it is new.
     pub fn open(folder: &Path) -> Result<Self, PkiError> {
-        fs::create_dir_all(folder).map_err(|cause| SceneError::io(folder, cause))?;
+        files::create_folder(folder)?;
         let now_s = SystemTime::now().duration_since(UNIX_EPOCH).map_or(0, |since| since.as_secs());
         let (key, certificate) = (folder.join(AUTHORITY_KEY), folder.join(AUTHORITY));
         let authority = match read(&key)? {
@@ -179,7 +179,7 @@ impl Pki {
         self.issued.revoke(name.as_str(), self.now_s);
         self.issued.write(&self.folder)?;
         let away = self.folder.join(REVOKED_FOLDERS);
-        fs::create_dir_all(&away).map_err(|cause| SceneError::io(&away, cause))?;
+        files::create_folder(&away)?;
         let serial = self.issued.last_serial(name.as_str()).unwrap_or_default();
         let away = away.join(format!("{name}-{serial}"));
         fs::rename(self.folder.join(name.as_str()), &away)
@@ -188,7 +188,7 @@ impl Pki {
 
     fn make_broker(&self, hosts: &[String], days: u32) -> Result<PathBuf, PkiError> {
         let folder = self.folder.join(BROKER);
-        fs::create_dir_all(&folder).map_err(|cause| SceneError::io(&folder, cause))?;
+        files::create_folder(&folder)?;
         let local = ["localhost".to_owned(), "127.0.0.1".to_owned()];
         let mut hosts = [hosts, &local].concat();
         hosts.dedup();

@@ -89,7 +89,7 @@ pub use record::{Contribution, FitRecord, Fitted, KeptOut, Merging, contribution
 pub(crate) use record::{file_hash, remove, withdrawn};
 pub use reporting::{ReportError, ReportTask, Reported, Reporter};
 pub(crate) use restore::record_of;
-pub use restore::{OldRevision, RestoreError, ask_to_release, ask_to_restore, old_revisions};
+pub use restore::{OldRevision, RestoreError, ask_to_release, ask_to_restore, lost_revisions, old_revisions};
 pub use revoked::{readmit, revoke, revoked};
 pub use round::{Expected, Rounds};
 pub(crate) use sent::SentTiles;

@@ -60,7 +60,7 @@ use std::path::{Path, PathBuf};
 
 use cosurf_engine::budget::PROCESS_BYTES;
 use cosurf_geo::Georeference;
-use cosurf_scene::{LocalFrame, Mesh, SceneError, atomic};
+use cosurf_scene::{LocalFrame, Mesh, SceneError, atomic, files};
 use glam::DVec3;
 
 use crate::mesh::{FuseEvent, MeshError};
@@ -163,7 +163,7 @@ pub fn survey(order: &SurveyOrder, mut on_event: impl FnMut(SurveyEvent)) -> Res
         check_near(polygons, file, &scene.cameras, &place)?;
     }
     check_memory(&scene, order)?;
-    fs::create_dir_all(&order.out).map_err(|cause| SceneError::io(&order.out, cause))?;
+    files::create_folder(&order.out)?;
     atomic::remove_partial_files(&order.out)?;
     points::remove_leftovers(&order.out)?;
     let out = |name| order.out.join(name);

@@ -6,7 +6,7 @@ use std::path::PathBuf;
 use anyhow::{Context, Result};
 use clap::Args;
 use cosurf_agent::pictures;
-use cosurf_scene::{Dataset, LocalFrame};
+use cosurf_scene::{Dataset, LocalFrame, files};
 
 use super::arguments::{Common, ViewingArgs};
 
@@ -30,7 +30,7 @@ pub(super) struct RenderArgs {
 
 pub(super) fn run(args: &RenderArgs) -> Result<()> {
     // First, so that a wrong folder is told before the work.
-    std::fs::create_dir_all(&args.out).with_context(|| args.out.display().to_string())?;
+    files::create_folder(&args.out)?;
     let dataset = Dataset::posed(&args.cameras)?;
     let frame = LocalFrame::of(dataset.cameras_of_views());
     let dataset = dataset.into_frame(&frame);

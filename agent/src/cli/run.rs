@@ -94,6 +94,9 @@ pub(super) fn run(RunArgs { job: args, fresh, watch, origin }: &RunArgs) -> Resu
     let mut job = Job::load(&args.config)?;
     let _lock = FolderLock::take(&job.config.out, "cosurf-agent run")?;
     let board = StatusBoard::new(job.config.steps);
+    if let Some(board) = job.board(&board) {
+        stop::tell_on(board);
+    }
     let mut progress = Progress::new(args.json).with_board(&board);
     let Some(folder) = watch else { return job.fly(*fresh, &board, &mut progress) };
     job.fly_all(&Watched::open(folder, &job.config.out)?, *origin, &board, &mut progress)

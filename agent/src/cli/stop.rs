@@ -3,11 +3,13 @@
 
 use std::io::{self, Write};
 use std::process;
+use std::sync::OnceLock;
 use std::sync::atomic::{AtomicBool, Ordering};
 use std::thread;
 use std::time::Duration;
 
 use anyhow::{Context, Result};
+use cosurf_agent::status::StatusBoard;
 
 /// Exit code of a program that a signal has ended, as shells report it for Ctrl-C.
 const ENDED_BY_SIGNAL: i32 = 130;
@@ -15,14 +17,22 @@ const ENDED_BY_SIGNAL: i32 = 130;
 /// Interval at which a program that is to end looks whether its training has ended.
 const TRAINING_POLL: Duration = Duration::from_millis(100);
 
+/// How long a connected agent has, outside of a training, to tell that it was stopped.
+const LAST_STATUS_TIME: Duration = Duration::from_millis(500);
+
 static IS_TRAINING: AtomicBool = AtomicBool::new(false);
 static IS_ASKED: AtomicBool = AtomicBool::new(false);
+static BOARD: OnceLock<StatusBoard> = OnceLock::new();
 
 /// Catches the signals from now on. To be called once.
 pub(super) fn listen() -> Result<()> {
     ctrlc::set_handler(|| {
         if !IS_TRAINING.load(Ordering::SeqCst) || IS_ASKED.swap(true, Ordering::SeqCst) {
             let _ = writeln!(io::stderr(), "\ncosurf-agent: stopped"); // fails only if nobody reads
+            if let Some(board) = BOARD.get() {
+                board.stop();
+                thread::sleep(LAST_STATUS_TIME);
+            }
             process::exit(ENDED_BY_SIGNAL);
         }
     })
@@ -40,6 +50,11 @@ pub(super) fn end_with_stdin() {
         }
         process::exit(ENDED_BY_SIGNAL);
     });
+}
+
+/// Lets the status on the board tell that the program was stopped, also outside of a training.
+pub(super) fn tell_on(board: &StatusBoard) {
+    let _ = BOARD.set(board.clone()); // fails only if another board is told already
 }
 
 /// Whether the program is asked to end.

@@ -7,7 +7,7 @@
 use std::fs;
 use std::path::{Path, PathBuf};
 
-use cosurf_scene::{Picture, SceneError, Shrinking, mask};
+use cosurf_scene::{Picture, SceneError, Shrinking, files, mask};
 
 use super::error::IngestError;
 use super::photographs::{Photograph, Photographs, reason};
@@ -79,7 +79,7 @@ fn write(shown: &Picture, name: &str, work: &Path) -> Result<(), IngestError> {
     let as_picture = as_pictures(work).join(name);
     for path in [&mask, &as_picture] {
         let folder = path.parent().unwrap_or(work);
-        fs::create_dir_all(folder).map_err(|cause| SceneError::io(folder, cause))?;
+        files::create_folder(folder)?;
     }
     shown.write_png(&mask)?;
     fs::hard_link(&mask, &as_picture)

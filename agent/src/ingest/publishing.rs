@@ -6,7 +6,7 @@ use std::path::Path;
 
 use cosurf_contract::IngestReport;
 use cosurf_geo::Georeference;
-use cosurf_scene::{Dataset, SceneError, atomic, colmap};
+use cosurf_scene::{Dataset, SceneError, atomic, colmap, files};
 use serde::{Deserialize, Serialize};
 
 use super::error::IngestError;
@@ -97,7 +97,7 @@ fn write_pictures<'a>(
     for (name, path) in pictures {
         let to = new.join(name);
         let folder = to.parent().unwrap_or(&new);
-        fs::create_dir_all(folder).map_err(|cause| SceneError::io(folder, cause))?;
+        files::create_folder(folder)?;
         link_or_copy(path, &to).map_err(|cause| SceneError::io(&to, cause))?;
     }
     let rename = |from: &Path, to: &Path| fs::rename(from, to).map_err(|cause| SceneError::io(to, cause));

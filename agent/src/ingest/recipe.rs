@@ -5,7 +5,7 @@ use std::fs;
 use std::path::{Path, PathBuf};
 
 use cosurf_contract::IngestStage;
-use cosurf_scene::{SceneError, atomic};
+use cosurf_scene::{SceneError, atomic, files};
 
 use super::colmap::Colmap;
 use super::error::IngestError;
@@ -152,7 +152,7 @@ impl<'a> Recipe<'a> {
         let text = self.work.join("text");
         let read = |folder: &PathBuf| {
             remove(&text)?;
-            fs::create_dir_all(&text).map_err(|cause| SceneError::io(&text, cause))?;
+            files::create_folder(&text)?;
             let options = [
                 (&["input_path"][..], folder.into()),
                 (&["output_path"], (&text).into()),

@@ -8,7 +8,7 @@ use std::path::{Path, PathBuf};
 use std::time::Instant;
 
 use cosurf_contract::{AgentEvent, IngestStage};
-use cosurf_scene::{SceneError, atomic};
+use cosurf_scene::{SceneError, atomic, files};
 
 use super::colmap::{Colmap, Progress};
 use super::error::IngestError;
@@ -83,7 +83,7 @@ impl<'a> Stages<'a> {
         ORDER.iter().skip_while(|kind| **kind != stage.kind).try_for_each(|kind| remove(&stamp_of(*kind)))?;
         stage.removed.iter().chain([&log]).try_for_each(|path| remove(path))?;
         for path in &stage.folders {
-            fs::create_dir_all(path).map_err(|cause| SceneError::io(path, cause))?;
+            files::create_folder(path)?;
         }
         self.work(stage, of, &log)?;
         Ok(atomic::write_bytes(&stamp, key.as_bytes())?)

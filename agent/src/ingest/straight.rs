@@ -4,7 +4,7 @@ use std::fs;
 use std::path::{Path, PathBuf};
 
 use cosurf_contract::{AgentEvent, IngestStage};
-use cosurf_scene::{SceneError, Shot, atomic};
+use cosurf_scene::{SceneError, Shot, atomic, files};
 
 use super::error::IngestError;
 use super::publishing::link_or_copy;
@@ -56,5 +56,5 @@ fn told(done: usize, of: usize, tell: &mut dyn FnMut(AgentEvent)) {
 
 fn create_folder_of(path: &Path) -> Result<(), SceneError> {
     let folder = path.parent().unwrap_or(Path::new(""));
-    fs::create_dir_all(folder).map_err(|cause| SceneError::io(folder, cause))
+    files::create_folder(folder)
 }

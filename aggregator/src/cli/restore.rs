@@ -4,7 +4,9 @@ use std::io::{self, Write};
 
 use anyhow::Result;
 use clap::Args;
-use cosurf_aggregator::service::{OldRevision, ask_to_release, ask_to_restore, old_revisions};
+use cosurf_aggregator::service::{
+    OldRevision, ask_to_release, ask_to_restore, lost_revisions, old_revisions,
+};
 use cosurf_contract::counted;
 use time::OffsetDateTime;
 
@@ -41,7 +43,7 @@ pub(crate) fn run(args: &RestoreArgs) -> Result<()> {
     }
     let revisions = old_revisions(&folder)?;
     if revisions.is_empty() {
-        writeln!(out, "there is no older revision in {}", folder.display())?;
+        writeln!(out, "there is no older revision to restore in {}", folder.display())?;
     }
     for OldRevision { revision, made_s, splats, models, restored_from } in revisions {
         let made =
@@ -53,6 +55,9 @@ pub(crate) fn run(args: &RestoreArgs) -> Result<()> {
         let repeats = restored_from.map_or_else(String::new, |from| format!(", repeats revision {from}"));
         let (splats, models) = (counted(splats, "splat"), counted(models, "model"));
         writeln!(out, "{revision}: {splats} of {models}{made}{repeats}")?;
+    }
+    for (revision, fault) in lost_revisions(&folder)? {
+        writeln!(out, "{revision}: cannot be restored: {fault}")?;
     }
     Ok(())
 }

@@ -6,7 +6,7 @@ use std::io::{self, Read, Seek, SeekFrom, Write};
 use std::path::{Path, PathBuf};
 use std::sync::{Mutex, PoisonError};
 
-use cosurf_scene::files::is_full_disk;
+use cosurf_scene::files::{self, is_full_disk};
 use cosurf_scene::{SceneError, Splats, check_space};
 use serde::Serialize;
 use serde::de::DeserializeOwned;
@@ -74,7 +74,7 @@ impl Records {
 impl Scratch {
     /// Makes files in `folder`, which is made if it is missing.
     pub(super) fn new(folder: &Path) -> Result<Self, SceneError> {
-        fs::create_dir_all(folder).map_err(|cause| SceneError::io(folder, cause))?;
+        files::create_folder(folder)?;
         Ok(Self(folder.to_owned()))
     }
 

@@ -4,7 +4,7 @@ use std::fs;
 use std::path::Path;
 
 use cosurf_city::{City, CityError, CitySettings};
-use cosurf_scene::{SceneError, atomic};
+use cosurf_scene::{SceneError, atomic, files};
 
 /// Why the city cannot be made.
 #[derive(Debug, thiserror::Error)]
@@ -32,7 +32,7 @@ pub(crate) fn make(
         return Ok(());
     }
     let city = City::build(settings)?;
-    fs::create_dir_all(folder).map_err(|cause| SceneError::io(folder, cause))?;
+    files::create_folder(folder)?;
     atomic::write_bytes(&record, b"")?;
     city.write(folder, progress)?;
     Ok(atomic::write_bytes(&record, content.as_bytes())?)

@@ -9,7 +9,7 @@ use std::path::{Path, PathBuf};
 
 use cosurf_contract::{AgentConfig, DEFAULT_FLIGHTS_MAX};
 use cosurf_link::BrokerAddress;
-use cosurf_scene::{Dataset, Ground, SceneError, atomic, footprints};
+use cosurf_scene::{Dataset, Ground, SceneError, atomic, files, footprints};
 use cosurf_wire::{DeviceId, IdError, SiteId};
 use serde::{Deserialize, Serialize};
 
@@ -200,7 +200,7 @@ impl Plan {
         let folder_in = |out: &Path| out.join("agents").join(device.as_str());
         let folder = folder_in(out);
         let init = before.map(|before| folder_in(before).join("global.ply")).filter(|init| init.is_file());
-        fs::create_dir_all(&folder).map_err(|cause| SceneError::io(&folder, cause))?;
+        files::create_folder(&folder)?;
         let config = AgentConfig {
             device: Some(device),
             site: self.site_of(agent),

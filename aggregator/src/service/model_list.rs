@@ -113,7 +113,7 @@ impl ModelList {
         }
         let check = check_line(&text);
         text.push_str(&check);
-        fs::create_dir_all(folder).map_err(|cause| SceneError::io(folder, cause))?;
+        files::create_folder(folder)?;
         atomic::write_bytes(&folder.join(device.as_str()), text.as_bytes())
     }
 

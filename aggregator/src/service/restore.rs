@@ -104,6 +104,9 @@ pub enum RestoreError {
     /// Its model is damaged.
     #[error("the model of revision {0} is damaged")]
     Damaged(u64),
+    /// Nothing tells what it was merged from.
+    #[error("the record of revision {0} ({RECORDS}/{0}.json) is damaged or missing")]
+    NoRecord(u64),
     /// Another one may be restored in its place.
     #[error("{0}; {1}")]
     Instead(Box<Self>, String),
@@ -137,6 +140,18 @@ pub fn old_revisions(folder: &Path) -> Result<Vec<OldRevision>, RestoreError> {
         restored_from: record.restored_from,
     };
     Ok(numbers.iter().filter_map(can_be_restored).map(old).collect())
+}
+
+/// The stored revisions of the service with this folder that cannot be restored, newest first, and why. The newest revision is
+/// not among them.
+pub fn lost_revisions(folder: &Path) -> Result<Vec<(u64, RestoreError)>, RestoreError> {
+    let mut numbers: Vec<u64> = stored(folder)?.into_iter().map(|key| key.model.0).collect();
+    numbers.sort_unstable_by_key(|number| std::cmp::Reverse(*number));
+    let fault = |number: u64| {
+        let error = check(folder, number).err()?;
+        (!matches!(error, RestoreError::Newest(_))).then_some((number, error))
+    };
+    Ok(numbers.into_iter().filter_map(fault).collect())
 }
 
 /// What a stored revision of the service with this folder was merged from; `None` if that is not known.
@@ -260,21 +275,21 @@ pub(super) fn find(folder: &Path, revision: u64) -> Result<(ModelKey, Merging), 
     key.map(|key| (key, record)).ok_or(RestoreError::NotKept(revision))
 }
 
+/// All that is in the folder of the records, which is created unless it is there.
+pub(super) fn records(folder: &Path) -> Result<Vec<PathBuf>, SceneError> {
+    let records = folder.join(RECORDS);
+    files::create_folder(&records)?;
+    let paths = fs::read_dir(&records).and_then(|entries| entries.map(|entry| Ok(entry?.path())).collect());
+    paths.map_err(|cause| SceneError::io(&records, cause))
+}
+
 /// Keeps the record of a revision, and removes those of revisions that are no longer stored.
 pub(super) fn keep_record(folder: &Path, record: &Merging) -> Result<(), ServiceError> {
-    let records = folder.join(RECORDS);
-    let failed = |cause| SceneError::io(&records, cause);
-    fs::create_dir_all(&records).map_err(failed)?;
+    let others = records(folder)?;
     checked::write(&record_path(folder, record.revision), record)?;
     let kept: Vec<PathBuf> =
         stored(folder)?.into_iter().map(|key| record_path(folder, key.model.0)).collect();
-    for entry in fs::read_dir(&records).map_err(failed)? {
-        let path = entry.map_err(failed)?.path();
-        if !kept.contains(&path) {
-            remove(&path)?;
-        }
-    }
-    Ok(())
+    Ok(others.iter().filter(|path| !kept.contains(path)).try_for_each(|path| remove(path).map(drop))?)
 }
 
 fn record_path(folder: &Path, revision: u64) -> PathBuf {
@@ -290,9 +305,10 @@ fn check(folder: &Path, revision: u64) -> Result<Merging, RestoreError> {
     if Merging::read(folder).is_some_and(|newest| newest.revision == revision) {
         return Err(RestoreError::Newest(revision));
     }
-    let is_stored = stored(folder)?.iter().any(|key| key.model.0 == revision);
-    let record = record_of(folder, revision).filter(|_| is_stored);
-    let record = record.ok_or(RestoreError::NotKept(revision))?;
+    if !stored(folder)?.iter().any(|key| key.model.0 == revision) {
+        return Err(RestoreError::NotKept(revision));
+    }
+    let record = record_of(folder, revision).ok_or(RestoreError::NoRecord(revision))?;
     match any_listed(&ModelList::read_all(&folder.join(WITHDRAWN))?, &record.inputs) {
         true => Err(RestoreError::Withdrawn(revision)),
         false => Ok(record),

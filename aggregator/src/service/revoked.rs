@@ -22,7 +22,7 @@ const CONTENT: &[u8] = b"revoked by the operator; `cosurf-aggregator revoke --un
 /// more; its models do until it is forgotten.
 pub fn revoke(folder: &Path, device: &DeviceId) -> Result<(), SceneError> {
     let folder = list_in(folder)?;
-    fs::create_dir_all(&folder).map_err(|cause| SceneError::io(&folder, cause))?;
+    files::create_folder(&folder)?;
     atomic::write_bytes(&folder.join(device.as_str()), CONTENT)
 }
 

@@ -6,7 +6,7 @@ use std::collections::BTreeMap;
 use std::fs;
 use std::path::Path;
 
-use cosurf_scene::SceneError;
+use cosurf_scene::{SceneError, files};
 use glam::{DAffine3, DVec3};
 use serde_json::{Value, json};
 
@@ -77,7 +77,7 @@ fn is_name(name: &str) -> bool {
 /// Makes a folder for tiles, and removes those of an earlier run from it.
 pub(super) fn make_folder(folder: &Path) -> Result<(), SceneError> {
     let failed = |cause| SceneError::io(folder, cause);
-    fs::create_dir_all(folder).map_err(failed)?;
+    files::create_folder(folder)?;
     for entry in fs::read_dir(folder).map_err(failed)? {
         let path = entry.map_err(failed)?.path();
         if path.file_name().and_then(|name| name.to_str()).is_some_and(is_name) {

@@ -6,7 +6,7 @@ use std::fs;
 use std::path::Path;
 
 use cosurf_geo::{GeoError, Geodetic, Georeference, SiteFrame};
-use cosurf_scene::{Camera, Dataset, SceneError, atomic, colmap};
+use cosurf_scene::{Camera, Dataset, SceneError, atomic, colmap, files};
 use glam::{DVec2, DVec3};
 
 use super::city::City;
@@ -75,7 +75,7 @@ impl City {
         mut progress: impl FnMut(usize, usize),
     ) -> Result<(), RawError> {
         let truth = folder.join(TRUTH);
-        fs::create_dir_all(&truth).map_err(|cause| SceneError::io(&truth, cause))?;
+        files::create_folder(&truth)?;
         let georeference = Georeference::at(settings.origin)?;
         let site = georeference.site()?;
         let seed = self.settings().seed;

@@ -3,7 +3,7 @@
 use std::fs;
 use std::path::Path;
 
-use cosurf_scene::{Dataset, Mesh, SceneError, colmap};
+use cosurf_scene::{Dataset, Mesh, SceneError, colmap, files};
 
 use super::city::{City, PICTURES};
 use super::truth::TruthPoint;
@@ -28,7 +28,7 @@ impl City {
     ) -> Result<Dataset, SceneError> {
         for name in [PICTURES, TRUTH] {
             let folder = folder.join(name);
-            fs::create_dir_all(&folder).map_err(|cause| SceneError::io(&folder, cause))?;
+            files::create_folder(&folder)?;
         }
         let mut dataset = self.dataset();
         let total = dataset.views.len();

@@ -66,7 +66,7 @@ impl ArrivedStore {
     /// longest.
     pub(crate) fn open(folder: &Path, bytes_max: u64) -> Result<Self, StoreError> {
         let failed = |cause| SceneError::io(folder, cause);
-        fs::create_dir_all(folder).map_err(failed)?;
+        files::create_folder(folder)?;
         let mut found = Vec::new();
         for entry in fs::read_dir(folder).map_err(failed)? {
             let entry = entry.map_err(failed)?;

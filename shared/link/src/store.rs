@@ -65,7 +65,7 @@ impl ModelStore {
         mut tell: impl FnMut(Damaged),
     ) -> Result<(Self, Vec<ModelHeader>), StoreError> {
         let failed = |cause| SceneError::io(folder, cause);
-        fs::create_dir_all(folder).map_err(failed)?;
+        files::create_folder(folder)?;
         atomic::remove_partial_files(folder)?;
         let store = Self { folder: folder.to_owned() };
         let mut headers = Vec::new();

@@ -16,6 +16,24 @@ pub fn folder_of(path: &Path) -> &Path {
     if path.is_file() { path.parent().unwrap_or(path) } else { path }
 }
 
+/// Creates a folder and those above it, unless they are there. What is in the way is not set aside: a link that leads nowhere
+/// may lead to a disk that is to be mounted.
+pub fn create_folder(folder: &Path) -> Result<(), SceneError> {
+    let Err(cause) = fs::create_dir_all(folder) else { return Ok(()) };
+    let is_in_the_way = |path: &&Path| path.symlink_metadata().is_ok() && !path.is_dir();
+    Err(match folder.ancestors().find(is_in_the_way) {
+        Some(link) if link.is_symlink() && !link.exists() => SceneError::malformed(
+            link,
+            "is a link to a folder that is not there; mount its disk, remove the link, or name another folder",
+        ),
+        Some(file) => SceneError::malformed(file, "is not a folder; move it away, or name another folder"),
+        None if cause.kind() == io::ErrorKind::NotFound => {
+            SceneError::malformed(folder, "cannot be created there; name another folder")
+        }
+        None => SceneError::io(folder, cause),
+    })
+}
+
 /// Opens a regular file for reading. Fails if the path is a folder, a FIFO, a device, or a link that leads nowhere; to open a
 /// FIFO would wait for its writer.
 pub fn open(path: &Path) -> Result<File, SceneError> {
@@ -120,6 +138,27 @@ mod tests {
         assert!(set_aside(&path).unwrap().is_dir());
         assert!(!is_damage(&read(&path).unwrap_err()), "a missing file is not damaged");
         assert_eq!(fs::read(folder.path().join("a.damaged-2")).unwrap(), b"a.damaged-2");
+    }
+
+    #[test]
+    fn what_is_in_the_way_of_a_folder_is_named_and_stays() {
+        let folder = tempfile::tempdir().unwrap();
+        let file = folder.path().join("file");
+        fs::write(&file, "x").unwrap();
+        let fault = |path: &Path| create_folder(path).unwrap_err().to_string();
+        let words = format!("{}: is not a folder; move it away, or name another folder", file.display());
+        assert_eq!([fault(&file), fault(&file.join("a/b"))], [words.clone(), words]);
+        create_folder(&folder.path().join("a/b")).unwrap();
+        create_folder(&folder.path().join("a")).unwrap();
+        #[cfg(unix)]
+        {
+            let link = folder.path().join("link");
+            std::os::unix::fs::symlink("unmounted", &link).unwrap();
+            assert!(
+                fault(&link.join("global")).contains("link: is a link to a folder that is not there; mount")
+            );
+            assert!(link.is_symlink());
+        }
     }
 
     #[cfg(unix)]

@@ -29,7 +29,7 @@ impl FolderLock {
     /// with [`SceneError::InUse`] if somebody else has it. Where the file system cannot lock files, nobody is kept out. Deletes
     /// what killed programs left of unfinished files.
     pub fn take(folder: &Path, program: &str) -> Result<Self, SceneError> {
-        create(folder)?;
+        files::create_folder(folder)?;
         let path = folder.join(NAME);
         let failed = |cause| SceneError::io(&path, cause);
         files::set_aside_unless_file(&path)?; // nobody can have locked what is no file
@@ -50,17 +50,6 @@ impl FolderLock {
         atomic::remove_partial_files(folder)?;
         Ok(Self { file })
     }
-}
-
-/// Creates the folder, unless it is there.
-fn create(folder: &Path) -> Result<(), SceneError> {
-    let another = |fault| SceneError::malformed(folder, format!("{fault}; name another folder"));
-    fs::create_dir_all(folder).map_err(|cause| match cause.kind() {
-        ErrorKind::AlreadyExists => another("is not a folder"),
-        ErrorKind::NotADirectory => another("lies below what is not a folder"),
-        ErrorKind::NotFound => another("cannot be created there"),
-        _ => SceneError::io(folder, cause),
-    })
 }
 
 /// Who holds the lock on a file.

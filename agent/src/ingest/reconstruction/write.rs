@@ -4,7 +4,7 @@ use std::fs::{self, File};
 use std::io::{self, BufWriter, Write};
 use std::path::Path;
 
-use cosurf_scene::{SceneError, atomic};
+use cosurf_scene::{SceneError, atomic, files};
 
 use super::Reconstruction;
 use crate::ingest::error::IngestError;
@@ -17,7 +17,7 @@ type Out = BufWriter<File>;
 impl Reconstruction {
     /// Writes a folder, which is created.
     pub(crate) fn write(&self, folder: &Path) -> Result<(), IngestError> {
-        fs::create_dir_all(folder).map_err(|cause| SceneError::io(folder, cause))?;
+        files::create_folder(folder)?;
         // For each mark, its number in the list of its photograph.
         let mut counts = vec![0_u32; self.posed.len()];
         let places: Vec<u32> = self

@@ -215,6 +215,31 @@ fn a_revision_whose_model_is_damaged_is_refused_with_those_that_are_left() {
 }
 
 #[test]
+fn a_revision_whose_record_is_damaged_is_told_and_listed_as_lost() {
+    let folder = tempfile::tempdir().unwrap();
+    let path = folder.path();
+    let network = MemoryNetwork::new(66, Faults::NONE);
+    let (ground, drones) = with_two_revisions(&network, path);
+    assert!(lost_revisions(path).unwrap().is_empty());
+    network.leave(ground.transport);
+    drones.into_iter().for_each(|drone| network.leave(drone.transport));
+    fs::write(path.join("revisions/1.json"), "{").unwrap();
+    let lost =
+        || lost_revisions(path).unwrap().iter().map(|(_, fault)| fault.to_string()).collect::<Vec<_>>();
+    let words = "the record of revision 1 (revisions/1.json) is damaged or missing";
+    assert_eq!(lost(), [words]);
+    let refused = ask_to_restore(path, 1).unwrap_err().to_string();
+    assert_eq!(refused, format!("{words}; others that can be restored: none"));
+
+    let mut ground = open(&network, path, Expected::Anybody(AT_ONCE));
+    let told = |events: &[ServiceEvent], _: &[Drone]| {
+        events.iter().any(|event| event.to_string().contains("its revision can be restored no longer"))
+    };
+    simulate(&network, &mut ground, &mut [], told);
+    assert_eq!(lost(), [words]);
+}
+
+#[test]
 fn a_revoked_device_is_not_heard_even_after_a_restart_until_it_is_let_in_again() {
     let folder = tempfile::tempdir().unwrap();
     let path = folder.path();

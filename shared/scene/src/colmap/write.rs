@@ -7,7 +7,7 @@ use std::path::Path;
 use glam::DVec2;
 
 use crate::lens::Distortion;
-use crate::{Camera, Dataset, Pose, SceneError, Shot, View, atomic};
+use crate::{Camera, Dataset, Pose, SceneError, Shot, View, atomic, files};
 
 /// COLMAP's numbers for camera models (`src/colmap/sensor/models.h`).
 const PINHOLE: u32 = 1;
@@ -20,7 +20,7 @@ const FULL_OPENCV: u32 = 6;
 /// camera. Pictures are not copied: they belong at `root/images/NAME`.
 pub fn write(root: &Path, dataset: &Dataset) -> Result<(), SceneError> {
     let model = root.join("sparse").join("0");
-    fs::create_dir_all(&model).map_err(|cause| SceneError::io(&model, cause))?;
+    files::create_folder(&model)?;
     let cameras = Cameras::of(&dataset.views);
     let tracks = Tracks::of(dataset);
     atomic::write(&model.join("cameras.bin"), |out| cameras.write(out))?;
@@ -31,7 +31,7 @@ pub fn write(root: &Path, dataset: &Dataset) -> Result<(), SceneError> {
 /// Writes shots as a binary model without points into a folder, which is created, for COLMAP's undistorter. Each shot has a
 /// camera of its own. Errors: a lens that COLMAP does not know.
 pub fn write_shots(model: &Path, shots: &[Shot]) -> Result<(), SceneError> {
-    fs::create_dir_all(model).map_err(|cause| SceneError::io(model, cause))?;
+    files::create_folder(model)?;
     atomic::write(&model.join("cameras.bin"), |out| write_lenses(out, shots))?;
     atomic::write(&model.join("images.bin"), |out| write_unmarked(out, shots))?;
     atomic::write(&model.join("points3D.bin"), |out| out.write_all(&0_u64.to_le_bytes()))
