@@ -181,10 +181,11 @@ impl Peer {
         }
     }
 
-    /// Records that chunk `index` was published, for this receiver (`is_due`) or for another one that shares the topic.
-    /// Does nothing if this receiver is not fetching, does not want the chunk, or has a full window.
+    /// Records that chunk `index` was published, for this receiver (`is_due`) or for others that share the topic. What was
+    /// published for others reaches this one too, even if its window is full or it has not asked yet; else it would be sent
+    /// again. Does nothing if this receiver does not want the chunk, or has very many in flight.
     pub(crate) fn on_sent(&mut self, now: Duration, index: u32, order: u64, is_due: bool) {
-        if self.has_room() && self.wanted.contains(index) {
+        if !self.is_closed() && self.in_flight.len() < self.window_max && self.wanted.contains(index) {
             if is_due && self.sent.contains(index) {
                 self.earn_resends(now);
                 self.resends.0 = self.resends.0.saturating_sub(1);
