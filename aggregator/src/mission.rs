@@ -22,7 +22,6 @@ mod signal;
 mod summary;
 mod watch;
 
-use std::fs;
 use std::ops::ControlFlow;
 use std::path::{Path, PathBuf};
 use std::sync::mpsc;

@@ -14,7 +14,7 @@ use std::path::{Path, PathBuf};
 use std::time::{SystemTime, UNIX_EPOCH};
 
 use cosurf_link::SecretKey;
-use cosurf_scene::{SceneError, atomic};
+use cosurf_scene::{SceneError, atomic, files};
 use cosurf_wire::DeviceId;
 
 use certificate::{Authority, Role, Signed};

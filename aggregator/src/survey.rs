@@ -55,12 +55,11 @@ mod views;
 mod volumes;
 mod witnesses;
 
-use std::fs;
 use std::path::{Path, PathBuf};
 
 use cosurf_engine::budget::PROCESS_BYTES;
 use cosurf_geo::Georeference;
-use cosurf_scene::{LocalFrame, Mesh, SceneError, atomic, files};
+use cosurf_scene::{LocalFrame, Mesh, atomic, files};
 use glam::DVec3;
 
 use crate::mesh::{FuseEvent, MeshError};

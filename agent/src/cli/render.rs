@@ -3,7 +3,7 @@
 use std::io::{self, Write};
 use std::path::PathBuf;
 
-use anyhow::{Context, Result};
+use anyhow::Result;
 use clap::Args;
 use cosurf_agent::pictures;
 use cosurf_scene::{Dataset, LocalFrame, files};

@@ -1,7 +1,7 @@
 //! Files for what a merge does not keep in memory. They have no names, so nothing is left of them, however the program
 //! ends.
 
-use std::fs::{self, File};
+use std::fs::File;
 use std::io::{self, Read, Seek, SeekFrom, Write};
 use std::path::{Path, PathBuf};
 use std::sync::{Mutex, PoisonError};
@@ -234,6 +234,6 @@ mod tests {
         assert_eq!(values, [2.0, 3.0]);
         let error = floats.read(2, &mut values).unwrap_err().to_string();
         assert!(error.contains("made"), "{error}");
-        assert_eq!(fs::read_dir(folder.path().join("made")).unwrap().count(), 0);
+        assert_eq!(std::fs::read_dir(folder.path().join("made")).unwrap().count(), 0);
     }
 }

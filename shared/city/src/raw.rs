@@ -2,7 +2,6 @@
 //! surveyors measured and marked. The truth lies beside them, so that everything made of the photographs can be measured.
 
 use std::fmt::Write;
-use std::fs;
 use std::path::Path;
 
 use cosurf_geo::{GeoError, Geodetic, Georeference, SiteFrame};
@@ -186,7 +185,7 @@ mod tests {
         let spread_m = errors.iter().map(|error| error.distance_squared(bias_m)).sum::<f64>() / 60.0;
         assert!((1.4..2.6).contains(&spread_m.sqrt()), "{spread_m}");
 
-        let list = fs::read_to_string(folder.path().join("gcp_list.txt")).unwrap();
+        let list = std::fs::read_to_string(folder.path().join("gcp_list.txt")).unwrap();
         let mut lines = list.lines();
         assert_eq!(lines.next(), Some("EPSG:32633"));
         let projection = Georeference::at(settings.origin).unwrap().projection().unwrap();

@@ -1,6 +1,5 @@
 //! Writes the city as a dataset, in the layout of real scenes.
 
-use std::fs;
 use std::path::Path;
 
 use cosurf_scene::{Dataset, Mesh, SceneError, colmap, files};

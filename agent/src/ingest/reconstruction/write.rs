@@ -1,10 +1,10 @@
 //! Writes the binary form, as COLMAP's `src/colmap/scene/reconstruction_io.cc` reads it.
 
-use std::fs::{self, File};
+use std::fs::File;
 use std::io::{self, BufWriter, Write};
 use std::path::Path;
 
-use cosurf_scene::{SceneError, atomic, files};
+use cosurf_scene::{atomic, files};
 
 use super::Reconstruction;
 use crate::ingest::error::IngestError;

@@ -1,6 +1,6 @@
 //! Writes models in the binary form.
 
-use std::fs::{self, File};
+use std::fs::File;
 use std::io::{self, BufWriter, Write};
 use std::path::Path;
 
