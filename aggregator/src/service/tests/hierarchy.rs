@@ -385,7 +385,7 @@ fn every_drone_ends_with_the_clouds_tiles_although_all_are_killed_again_and_agai
 fn every_drone_ends_with_the_clouds_tiles_although_files_of_all_kinds_are_damaged() {
     let folder = tempfile::tempdir().unwrap();
     let mut dice = Dice(9);
-    for life in 0..10 {
+    for life in 0..5 {
         let mut site = Site::open(300 + life, folder.path(), true, Size::Large, FIRST);
         site.run_until_all_have_the_clouds(Size::Large, shows_all);
         drop(site);
