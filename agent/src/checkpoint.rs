@@ -95,13 +95,12 @@ pub fn set_aside(out: &Path) -> Result<PathBuf> {
     Ok(files::set_aside(&path(out))?)
 }
 
-/// Deletes what killed programs left of unfinished checkpoints in the output folder `out`.
-pub fn remove_partial(out: &Path) -> Result<()> {
+/// Makes the folder of the checkpoint in the output folder `out`, unless it is there. Deletes what killed programs left of
+/// unfinished checkpoints.
+pub fn make_folder(out: &Path) -> Result<()> {
     let folder = out.join(FOLDER);
-    if folder.is_dir() {
-        atomic::remove_partial_files(&folder)?;
-    }
-    Ok(())
+    files::create_folder(&folder)?;
+    Ok(atomic::remove_partial_files(&folder)?)
 }
 
 /// Path of the checkpoint file of a training whose output folder is `out`.

@@ -70,6 +70,11 @@ pub fn global_ply(out: &Path) -> PathBuf {
     out.join("global.ply")
 }
 
+/// Folder of the global models that have arrived, in the agent's folder `out`.
+pub fn global_models(out: &Path) -> PathBuf {
+    out.join("global")
+}
+
 /// The state of one call of [`publish`].
 struct Publisher<'a, F> {
     publication: &'a Publication<'a>,
@@ -100,7 +105,7 @@ impl<'a, F: FnMut(AgentEvent)> Publisher<'a, F> {
     fn start(publication: &'a Publication<'a>, on_event: F) -> Result<Self> {
         let out = publication.out;
         let (received, known) =
-            Received::open(publication.identity.device, &out.join("global"), global_ply(out))?;
+            Received::open(publication.identity.device, &global_models(out), global_ply(out))?;
         let limits = InboxLimits {
             body_bytes_max: publication.inbox_bytes,
             total_bytes_max: publication.inbox_bytes,
@@ -109,7 +114,7 @@ impl<'a, F: FnMut(AgentEvent)> Publisher<'a, F> {
         };
         let mut node = Node::new(publication.identity, limits, &known);
         node.set_credentials(publication.credentials.clone());
-        node.keep_arrived(&out.join("global"))?;
+        node.keep_arrived(&global_models(out))?;
         let upload = match publication.sharing {
             Some(sharing) => {
                 node.announce_flight(sharing.flight);

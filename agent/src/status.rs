@@ -19,19 +19,23 @@ struct Board {
     status: AgentStatus,
     /// Number of changes of the phase.
     changes: u64,
+    /// Whether somebody ends the agent, so that nothing else may be told.
+    is_stopped: bool,
 }
 
 impl StatusBoard {
     /// The board of an agent that has just started and will train for so many steps.
     pub fn new(steps: u32) -> Self {
         let status = AgentStatus::new(steps, env!("CARGO_PKG_VERSION"));
-        Self(Arc::new(Mutex::new(Board { status, changes: 0 })))
+        Self(Arc::new(Mutex::new(Board { status, changes: 0, is_stopped: false })))
     }
 
     /// Notes an event.
     pub fn follow(&self, event: &AgentEvent) {
         let mut board = self.0.lock().unwrap_or_else(PoisonError::into_inner);
-        board.changes += u64::from(board.status.follow(event));
+        if !board.is_stopped {
+            board.changes += u64::from(board.status.follow(event));
+        }
     }
 
     /// Notes that the agent has finished.
@@ -52,6 +56,7 @@ impl StatusBoard {
     /// Notes that somebody ends the agent.
     pub fn stop(&self) {
         self.fail("stopped; run the same command again to go on");
+        self.0.lock().unwrap_or_else(PoisonError::into_inner).is_stopped = true;
     }
 
     fn fail(&self, reason: &str) {
@@ -153,5 +158,9 @@ mod tests {
         assert_eq!(told(&mut teller, 9).unwrap().step, 2);
         board.finish();
         assert_eq!(told(&mut teller, 10).unwrap().phase, AgentPhase::Done);
+        board.stop();
+        board.follow(&progress(3));
+        let last = told(&mut teller, 11).unwrap();
+        assert!(last.phase == AgentPhase::Failed && last.problem.unwrap().starts_with("stopped"));
     }
 }

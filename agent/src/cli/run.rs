@@ -14,15 +14,15 @@ use std::time::{Duration, Instant, SystemTime, UNIX_EPOCH};
 use anyhow::{Context, Result, bail};
 use clap::Args;
 use cosurf_agent::arrival::Arrival;
-use cosurf_agent::publish::{Publication, Sharing, global_ply, publish};
+use cosurf_agent::publish::{Publication, Sharing, global_models, global_ply, publish};
 use cosurf_agent::session::{self, Split, TrainPlan};
 use cosurf_agent::status::StatusBoard;
-use cosurf_agent::{ingest, outputs};
+use cosurf_agent::{checkpoint, ingest, outputs};
 use cosurf_contract::{AgentConfig, AgentEvent, ComparedWith, Share, usage};
 use cosurf_engine::{PruneSettings, SurfaceSettings, base_of};
 use cosurf_geo::Geodetic;
 use cosurf_link::{Credentials, Identity, Role, SecretKey, next_session};
-use cosurf_scene::{Camera, FolderLock, LocalFrame, Splats, camera_list, ply};
+use cosurf_scene::{Camera, FolderLock, LocalFrame, Splats, camera_list, files, ply};
 use cosurf_wire::DeviceId;
 
 use super::host::{self, cores, default_memory};
@@ -77,6 +77,7 @@ pub(super) struct PreflightArgs {
 pub(super) fn preflight(PreflightArgs { job: args }: &PreflightArgs) -> Result<()> {
     let mut job = Job::load(&args.config)?;
     let _lock = FolderLock::take(&job.config.out, "cosurf-agent preflight")?;
+    job.make_folders()?;
     let board = StatusBoard::new(job.config.steps);
     let mut progress = Progress::new(args.json);
     let (answer, unreached) = job.try_line(&board, &mut progress)?;
@@ -93,6 +94,7 @@ pub(super) fn preflight(PreflightArgs { job: args }: &PreflightArgs) -> Result<(
 pub(super) fn run(RunArgs { job: args, fresh, watch, origin }: &RunArgs) -> Result<()> {
     let mut job = Job::load(&args.config)?;
     let _lock = FolderLock::take(&job.config.out, "cosurf-agent run")?;
+    job.make_folders()?;
     let board = StatusBoard::new(job.config.steps);
     if let Some(board) = job.board(&board) {
         stop::tell_on(board);
@@ -131,6 +133,13 @@ impl LocalModel {
 }
 
 impl Job {
+    /// Makes the folders in `out`. If something is in the way, that is told before the training.
+    fn make_folders(&self) -> Result<()> {
+        let out = &self.config.out;
+        checkpoint::make_folder(out)?;
+        Ok(files::create_folder(&global_models(out))?)
+    }
+
     fn load(path: &Path) -> Result<Self> {
         let text = fs::read_to_string(path).with_context(|| {
             format!("{}: cannot be read; name another file with --config", path.display())

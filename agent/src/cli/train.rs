@@ -146,7 +146,7 @@ pub(super) fn train(
     fresh: bool,
     progress: &mut Progress,
 ) -> Result<TrainReport> {
-    checkpoint::remove_partial(out)?;
+    checkpoint::make_folder(out)?;
     Dataset::notes(&plan.data).iter().for_each(|note| eprintln!("{note}"));
     outputs::take_over_place(&plan.data, out)?;
     if let Some(note) = plan.init.as_deref().and_then(model::unusable_note) {

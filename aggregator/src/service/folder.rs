@@ -9,7 +9,7 @@ use std::rc::Rc;
 use std::time::UNIX_EPOCH;
 
 use cosurf_link::{Model, ModelKey, ModelStore, body_to_model};
-use cosurf_scene::{LocalFrame, SceneError, Splats, camera_list, ply};
+use cosurf_scene::{LocalFrame, SceneError, Splats, camera_list, files, ply};
 use cosurf_wire::{DeviceId, ModelHeader, ModelId};
 
 use super::error::ServiceError;
@@ -41,6 +41,17 @@ pub(crate) fn write_joined(folders: &[PathBuf], file: &Path, frame: &LocalFrame)
 /// Folder of the global model's revisions, inside the folder of a service.
 pub(crate) fn global_store(folder: &Path) -> PathBuf {
     folder.join("global")
+}
+
+/// Makes the folders in the folder of a service, unless they are there. Fails if something is in the way.
+pub(super) fn make_folders(folder: &Path) -> Result<(), SceneError> {
+    let folders = [models, parts, global_store, tiles, sent_tiles, handed_on].map(|of| of(folder));
+    folders.iter().try_for_each(|folder| files::create_folder(folder))
+}
+
+/// Folder of the parts of unfinished models, inside the folder of a service.
+pub(super) fn parts(folder: &Path) -> PathBuf {
+    folder.join("parts")
 }
 
 /// Folder of the local models, and of what has arrived of unfinished ones, inside the folder of a service.

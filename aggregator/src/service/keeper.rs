@@ -19,7 +19,7 @@ use super::control::{Command, ServiceConfig};
 use super::cut::{Cut, WHOLE_SPLATS_MAX};
 use super::error::ServiceError;
 use super::event::ServiceEvent;
-use super::folder::{MADE_FILES, global_ply, global_store, handed_on, sent_tiles, tiles};
+use super::folder::{MADE_FILES, global_ply, global_store, handed_on, make_folders, sent_tiles, tiles};
 use super::inputs::{Input, Inputs};
 use super::job::{Job, JobState, Made, Outcome, TileWork};
 use super::rebroadcast::Rebroadcast;
@@ -123,6 +123,7 @@ pub(super) struct Keeper {
 impl Keeper {
     /// Opens the service's folder. Also returns the headers of the local models in it.
     pub(super) fn open(config: ServiceConfig) -> Result<(Self, Vec<ModelHeader>), ServiceError> {
+        make_folders(&config.folder)?;
         let mut told: VecDeque<ServiceEvent> = set_aside_files(&config.folder)?.into();
         let mut tell = |damaged: Damaged, follows: &str| {
             told.push_back(ServiceEvent::SetAside { reason: format!("{damaged}; {follows}") });

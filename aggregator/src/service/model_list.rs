@@ -21,7 +21,7 @@ const MODELS_MAX: usize = 1024;
 const ASKS: &str = "asks";
 /// Before the number of a session: the flights of the device up to that session.
 const FLIGHTS: &str = "flights";
-/// Before the BLAKE3 hash of all other lines.
+/// Before the BLAKE3 hash of the device's name and all other lines.
 const CHECK: &str = "# check ";
 /// In the place of a hash: all models with the number.
 const ANY: &str = "any";
@@ -31,8 +31,6 @@ const ANY: &str = "any";
 pub(super) struct ModelList {
     /// Numbers and hashes in hexadecimal digits, or [`ANY`].
     models: BTreeSet<(ModelId, String)>,
-    /// All models up to this number, from a list of version 0.1.
-    up_to: Option<ModelId>,
     /// The device's flights of sessions up to this one are withdrawn, too.
     pub(super) flights_until: Option<u64>,
     /// Whether the models that the service has now must be added.
@@ -40,7 +38,8 @@ pub(super) struct ModelList {
 }
 
 impl ModelList {
-    /// The lists of all devices in a folder. Fails if a list is damaged: without it, withdrawn models would count again.
+    /// The lists of all devices in a folder. Fails if a list is damaged or of version 0.1, which had no hashes: without it,
+    /// withdrawn models would count again, and with another one, models that nobody has withdrawn would not.
     pub(super) fn read_all(folder: &Path) -> Result<BTreeMap<DeviceId, Self>, SceneError> {
         let entries = match fs::read_dir(folder) {
             Err(cause) if cause.kind() == ErrorKind::NotFound => return Ok(BTreeMap::new()),
@@ -51,37 +50,38 @@ impl ModelList {
             let path = entry.map_err(|cause| SceneError::io(folder, cause))?.path();
             let device = path.file_name().and_then(|name| DeviceId::new(name.to_str()?).ok());
             let Some(device) = device else { continue };
-            let read = files::read(&path).map_err(|error| error.to_string());
-            let text = read.and_then(|bytes| String::from_utf8(bytes).map_err(|error| error.to_string()));
-            let text = text.and_then(|text| match is_damaged(&text) {
-                true => Err("its hash does not match".to_owned()),
-                false => Ok(text),
-            });
-            let text = text.map_err(|error| {
+            let list = Self::read_from(&path, &device).map_err(|error| {
                 let remedy = format!("remove it, and withdraw the device again: forget {device}");
                 SceneError::malformed(
                     &path,
                     format!("the list of withdrawn models cannot be read ({error}); {remedy}"),
                 )
             })?;
-            lists.insert(device, Self::parse(&text));
+            lists.insert(device, list);
         }
         Ok(lists)
     }
 
-    /// The list of a device in a folder, empty if there is none.
+    /// The list of a device in a folder, empty if there is none or it is damaged.
     pub(super) fn read(folder: &Path, device: &DeviceId) -> Self {
-        let bytes = files::read(&folder.join(device.as_str()));
-        let text = bytes.ok().and_then(|bytes| String::from_utf8(bytes).ok());
-        text.map_or_else(Self::default, |text| Self::parse(&text))
+        Self::read_from(&folder.join(device.as_str()), device).unwrap_or_default()
     }
 
-    fn parse(text: &str) -> Self {
-        let mut listed = Self { asks: text.trim().is_empty(), ..Self::default() };
-        for line in text.lines() {
+    fn read_from(path: &Path, device: &DeviceId) -> Result<Self, String> {
+        let bytes = files::read(path).map_err(|error| error.to_string())?;
+        let text = String::from_utf8(bytes).map_err(|error| error.to_string())?;
+        match text.rfind(CHECK).map(|at| text.split_at(at)) {
+            Some((lines, check)) if check == check_line(device, lines) => Ok(Self::parse(lines)),
+            Some(_) => Err("its hash does not match".to_owned()),
+            None => Err("it has no hash".to_owned()),
+        }
+    }
+
+    fn parse(lines: &str) -> Self {
+        let mut listed = Self::default();
+        for line in lines.lines() {
             match line.split_ascii_whitespace().collect::<Vec<_>>()[..] {
                 [ASKS] => listed.asks = true,
-                [number] => listed.up_to = number.parse().ok().map(ModelId).max(listed.up_to),
                 [FLIGHTS, session] => listed.flights_until = session.parse().ok().max(listed.flights_until),
                 [number, hash] => {
                     listed
@@ -98,9 +98,6 @@ impl ModelList {
     pub(super) fn write(&self, folder: &Path, device: &DeviceId) -> Result<(), SceneError> {
         let mut text = String::new();
         let mut line = |line: std::fmt::Arguments<'_>| _ = writeln!(text, "{line}");
-        if let Some(up_to) = self.up_to {
-            line(format_args!("{up_to}"));
-        }
         if let Some(session) = self.flights_until {
             line(format_args!("{FLIGHTS} {session}"));
         }
@@ -108,10 +105,8 @@ impl ModelList {
         self.models.iter().skip(old).for_each(|(number, hash)| line(format_args!("{number} {hash}")));
         if self.asks {
             line(format_args!("{ASKS}"));
-        } else if text.is_empty() {
-            text.push_str("# none\n");
         }
-        let check = check_line(&text);
+        let check = check_line(device, &text);
         text.push_str(&check);
         files::create_folder(folder)?;
         atomic::write_bytes(&folder.join(device.as_str()), text.as_bytes())
@@ -130,20 +125,18 @@ impl ModelList {
     /// Adds another list.
     pub(super) fn add_all(&mut self, other: &Self) {
         self.models.extend(other.models.iter().cloned());
-        self.up_to = self.up_to.max(other.up_to);
         self.flights_until = self.flights_until.max(other.flights_until);
     }
 
     /// Whether a model is listed, under whatever number it comes. `hash` is in hexadecimal digits.
     pub(super) fn has(&self, number: ModelId, hash: &str) -> bool {
-        Some(number) <= self.up_to
-            || self.has_number(number, |listed| listed == ANY)
+        self.has_number(number, |listed| listed == ANY)
             || self.models.iter().any(|(_, listed)| listed == hash)
     }
 
     /// Whether a part of a model is listed: its hash is not that of the model.
     pub(super) fn has_part(&self, number: ModelId) -> bool {
-        Some(number) <= self.up_to || self.has_number(number, |_| true)
+        self.has_number(number, |_| true)
     }
 
     fn has_number(&self, number: ModelId, is_it: impl Fn(&str) -> bool) -> bool {
@@ -153,14 +146,9 @@ impl ModelList {
     }
 }
 
-/// The last line of a list with these lines before it.
-fn check_line(lines: &str) -> String {
-    format!("{CHECK}{}\n", blake3::hash(lines.as_bytes()).to_hex())
-}
-
-/// Whether a list has another content than was written. One without a last line is of an older version, or written by hand.
-fn is_damaged(text: &str) -> bool {
-    text.rfind(CHECK).is_some_and(|at| check_line(&text[..at]) != text[at..])
+/// The last line of a device's list with these lines before it.
+fn check_line(device: &DeviceId, lines: &str) -> String {
+    format!("{CHECK}{}\n", blake3::hash(format!("{device}\n{lines}").as_bytes()).to_hex())
 }
 
 /// Whether models of these lists are among the inputs of a merge.
@@ -184,11 +172,10 @@ mod tests {
     use super::*;
 
     #[test]
-    fn lists_come_back_and_those_of_version_0_1_are_read() {
+    fn lists_come_back_unless_they_are_damaged() {
         let folder = tempfile::tempdir().unwrap();
-        let device = DeviceId::new("drone-1").unwrap();
-        let mut listed = ModelList::parse("7\n");
-        assert!(listed.has(ModelId(7), "aa") && listed.has_part(ModelId(3)) && !listed.has(ModelId(8), "aa"));
+        let [device, other] = ["drone-1", "drone-2"].map(|name| DeviceId::new(name).unwrap());
+        let mut listed = ModelList::default();
         listed.models.insert((ModelId(u64::MAX), "bb".to_owned()));
         listed.add_number(ModelId(9));
         listed.asks = true;
@@ -202,20 +189,24 @@ mod tests {
                 && listed.has(ModelId(9), "cc")
                 && !listed.has(ModelId(10), "cc")
         );
-        assert!(
-            ModelList::parse("").asks && !ModelList::parse("\n7").asks,
-            "as `forget` of version 0.1 asks"
-        );
         let path = folder.path().join(device.as_str());
         let written = fs::read(&path).unwrap();
+        assert_eq!(ModelList::read_all(folder.path()).unwrap(), [(device, listed.clone())].into());
+        let refuses = |bytes: &[u8], what: &str| {
+            fs::write(&path, bytes).unwrap();
+            let error = ModelList::read_all(folder.path()).expect_err(what).to_string();
+            assert!(error.contains("withdraw the device again: forget drone-1"), "{what}: {error}");
+            assert_eq!(ModelList::read(folder.path(), &device), ModelList::default(), "{what}");
+        };
         for place in 0..written.len() {
             let mut damaged = written.clone();
             damaged[place] ^= 1;
-            fs::write(&path, damaged).unwrap();
-            // Damage to the words before the hash leaves the list as it is.
-            let read = ModelList::read_all(folder.path());
-            assert!(read.is_err() || read.is_ok_and(|lists| lists[&device] == listed), "byte {place}");
+            refuses(&damaged, &format!("byte {place}"));
+            refuses(&written[..place], &format!("cut after {place} bytes"));
         }
+        refuses(b"7\n", "a list of version 0.1, or the number of a session");
+        listed.write(folder.path(), &other).unwrap();
+        refuses(&fs::read(folder.path().join(other.as_str())).unwrap(), "another device's");
         let empty = ModelList::default();
         empty.write(folder.path(), &device).unwrap();
         assert_eq!(ModelList::read(folder.path(), &device), empty);

@@ -9,6 +9,7 @@ use cosurf_link::{
 use cosurf_wire::{DeviceId, ModelHeader, ModelId};
 
 use super::error::ServiceError;
+use super::folder::parts;
 
 /// The stored parts, at most one for each device.
 #[derive(Debug)]
@@ -21,7 +22,7 @@ pub(super) struct Parts {
 impl Parts {
     /// `tell` gets the files that were set aside.
     pub(super) fn open(folder: &Path, tell: impl FnMut(Damaged)) -> Result<Self, StoreError> {
-        let (store, headers) = ModelStore::open_telling(&folder.join("parts"), tell)?;
+        let (store, headers) = ModelStore::open_telling(&parts(folder), tell)?;
         Ok(Self { store, headers: headers.into_iter().map(|header| (header.device, header)).collect() })
     }
 

@@ -36,9 +36,11 @@ pub(super) fn set_aside_files(folder: &Path) -> Result<Vec<ServiceEvent>, SceneE
         told.extend(set_aside_unless(&folder.join(name), |_| Ok(()), ANEW)?);
     }
     let is_whole = |path: &Path| checked::read::<IgnoredAny>(path).map(drop);
-    for name in [MERGED, SUSPECTS, HELD] {
+    for name in [SUSPECTS, HELD] {
         told.extend(set_aside_unless(&folder.join(name), is_whole, ANEW)?);
     }
+    let is_whole = |path: &Path| checked::read::<Merging>(path).map(drop);
+    told.extend(set_aside_unless(&folder.join(MERGED), is_whole, ANEW)?);
     let is_record = |path: &PathBuf| path.extension().is_some_and(|extension| extension == "json");
     for path in restore::records(folder)?.into_iter().filter(is_record) {
         told.extend(set_aside_unless(&path, is_whole, "its revision can be restored no longer")?);

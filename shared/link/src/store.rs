@@ -4,7 +4,7 @@
 //! was received (an encoded [`cosurf_wire::Message`]), and the body.
 
 use std::fmt;
-use std::fs;
+use std::fs::{self, File};
 use std::io::{self, Read, Write};
 use std::path::{Path, PathBuf};
 
@@ -19,6 +19,7 @@ const EXTENSION: &str = "model";
 /// How much of a body is read for its cameras, bytes: head, table and cameras come first.
 const CAMERAS_BYTES_MAX: u64 = 2 << 20;
 const WRONG_HASH: &str = "its hash does not match";
+const WRONG_NAME: &str = "it holds another model than its name says";
 
 /// An invalid model file, or an I/O error.
 #[derive(Debug, thiserror::Error)]
@@ -108,7 +109,7 @@ impl ModelStore {
     /// Reads a model, and checks its hash and all its values.
     pub fn get(&self, key: ModelKey) -> Result<(ModelHeader, Vec<u8>), StoreError> {
         let path = self.path(key);
-        let (mut file, header) = open_file(&path)?;
+        let (mut file, header) = self.open_model(key)?;
         let mut body = vec![0; header.body_bytes as usize];
         file.read_exact(&mut body).map_err(|cause| SceneError::io(&path, cause))?;
         if body_hash(&body) != header.blake3 {
@@ -118,11 +119,21 @@ impl ModelStore {
         Ok((header, body))
     }
 
+    /// Opens the file of a model behind its header. Fails if it holds another model.
+    fn open_model(&self, key: ModelKey) -> Result<(File, ModelHeader), SceneError> {
+        let path = self.path(key);
+        let (file, header) = open_file(&path)?;
+        if ModelKey::from(&header) != key {
+            return Err(malformed(&path, WRONG_NAME));
+        }
+        Ok((file, header))
+    }
+
     /// The header of a model, the frame of its splats, and its cameras, in the world. Reads only the beginning of the file;
     /// splats and hash are not checked. An error if the model has more cameras than fit into 2 MiB.
     pub fn cameras(&self, key: ModelKey) -> Result<(ModelHeader, LocalFrame, Vec<Camera>), StoreError> {
         let path = self.path(key);
-        let (file, header) = open_file(&path)?;
+        let (file, header) = self.open_model(key)?;
         let mut beginning = Vec::new();
         let read = file.take(CAMERAS_BYTES_MAX).read_to_end(&mut beginning);
         read.map_err(|cause| SceneError::io(&path, cause))?;
@@ -250,7 +261,7 @@ fn intact(path: &Path) -> Result<ModelHeader, SceneError> {
         return Err(malformed(path, WRONG_HASH));
     }
     if key_of_file(path) != Some(ModelKey::from(&header)) {
-        return Err(malformed(path, "it holds another model than its name says"));
+        return Err(malformed(path, WRONG_NAME));
     }
     Ok(header)
 }
