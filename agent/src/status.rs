@@ -1,6 +1,6 @@
 //! Tells over the link how far the agent is: at once when its phase changes, and every five seconds.
 
-use std::sync::{Arc, Mutex, PoisonError};
+use std::sync::{Arc, Mutex, MutexGuard, PoisonError};
 use std::time::{Duration, SystemTime, UNIX_EPOCH};
 
 use cosurf_contract::{AgentEvent, AgentPhase, AgentStatus, usage};
@@ -23,6 +23,13 @@ struct Board {
     is_stopped: bool,
 }
 
+impl Board {
+    fn fail(&mut self, reason: &str) {
+        self.status.fail(reason);
+        self.changes += 1;
+    }
+}
+
 impl StatusBoard {
     /// The board of an agent that has just started and will train for so many steps.
     pub fn new(steps: u32) -> Self {
@@ -32,7 +39,7 @@ impl StatusBoard {
 
     /// Notes an event.
     pub fn follow(&self, event: &AgentEvent) {
-        let mut board = self.0.lock().unwrap_or_else(PoisonError::into_inner);
+        let mut board = self.lock();
         if !board.is_stopped {
             board.changes += u64::from(board.status.follow(event));
         }
@@ -40,7 +47,7 @@ impl StatusBoard {
 
     /// Notes that the agent has finished.
     pub fn finish(&self) {
-        let mut board = self.0.lock().unwrap_or_else(PoisonError::into_inner);
+        let mut board = self.lock();
         board.status.phase = AgentPhase::Done;
         board.changes += 1;
     }
@@ -48,25 +55,24 @@ impl StatusBoard {
     /// Notes why the agent ends, if it does. Returns `result`.
     pub fn follow_result<T>(&self, result: anyhow::Result<T>) -> anyhow::Result<T> {
         if let Err(error) = &result {
-            self.fail(&format!("{error:#}"));
+            self.lock().fail(&format!("{error:#}"));
         }
         result
     }
 
     /// Notes that somebody ends the agent.
     pub fn stop(&self) {
-        self.fail("stopped; run the same command again to go on");
-        self.0.lock().unwrap_or_else(PoisonError::into_inner).is_stopped = true;
+        let mut board = self.lock();
+        board.fail("stopped; run the same command again to go on");
+        board.is_stopped = true;
     }
 
-    fn fail(&self, reason: &str) {
-        let mut board = self.0.lock().unwrap_or_else(PoisonError::into_inner);
-        board.status.fail(reason);
-        board.changes += 1;
+    fn lock(&self) -> MutexGuard<'_, Board> {
+        self.0.lock().unwrap_or_else(PoisonError::into_inner)
     }
 
     fn read(&self) -> (AgentStatus, u64) {
-        let board = self.0.lock().unwrap_or_else(PoisonError::into_inner);
+        let board = self.lock();
         (board.status.clone(), board.changes)
     }
 }

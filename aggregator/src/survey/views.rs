@@ -126,8 +126,8 @@ impl<'a> Picture<'a> {
         self.add_along(views, at, DVec3::length);
     }
 
-    /// Counts the picture for a point. `extent_m` makes of the vector from the camera to the point the length, metres, in which
-    /// differences are told: its height for pixels of the map, all of it for splats.
+    /// Counts the picture for a point. `extent_m` returns the length in metres, along the vector from the camera to
+    /// the point, that differences are measured by: its height for pixels of the map, its full length for splats.
     fn add_along(&self, views: &mut Views, at: DVec3, extent_m: impl Fn(DVec3) -> f64) {
         let Some((px, depth_m)) = self.map.camera.project_with_depth(at) else { return };
         let Some(shown_m) = self.depth_m(px) else { return };
