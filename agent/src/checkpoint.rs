@@ -95,11 +95,13 @@ pub fn set_aside(out: &Path) -> Result<PathBuf> {
     Ok(files::set_aside(&path(out))?)
 }
 
-/// Makes the folder of the checkpoint in the output folder `out`, unless it is there. Deletes what killed programs left of
+/// Makes the folder of the checkpoint in the output folder `out`, unless it is there, and checks that files can be written to
+/// it. Deletes what killed programs left of
 /// unfinished checkpoints.
 pub fn make_folder(out: &Path) -> Result<()> {
     let folder = out.join(FOLDER);
     files::create_folder(&folder)?;
+    atomic::check_folder(&folder)?;
     Ok(atomic::remove_partial_files(&folder)?)
 }
 

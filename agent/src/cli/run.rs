@@ -22,7 +22,7 @@ use cosurf_contract::{AgentConfig, AgentEvent, ComparedWith, Share, usage};
 use cosurf_engine::{PruneSettings, SurfaceSettings, base_of};
 use cosurf_geo::Geodetic;
 use cosurf_link::{Credentials, Identity, Role, SecretKey, next_session};
-use cosurf_scene::{Camera, FolderLock, LocalFrame, Splats, camera_list, files, ply};
+use cosurf_scene::{Camera, FolderLock, LocalFrame, Splats, atomic, camera_list, files, ply};
 use cosurf_wire::DeviceId;
 
 use super::host::{self, cores, default_memory};
@@ -133,11 +133,13 @@ impl LocalModel {
 }
 
 impl Job {
-    /// Makes the folders in `out`. If something is in the way, that is told before the training.
+    /// Makes the folders in `out`. If something is in the way, or nothing can be written, that is told before the training.
     fn make_folders(&self) -> Result<()> {
         let out = &self.config.out;
         checkpoint::make_folder(out)?;
-        Ok(files::create_folder(&global_models(out))?)
+        let global = global_models(out);
+        files::create_folder(&global)?;
+        Ok(atomic::check_folder(&global)?)
     }
 
     fn load(path: &Path) -> Result<Self> {

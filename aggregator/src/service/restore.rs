@@ -129,8 +129,6 @@ pub enum RestoreError {
 
 /// The revisions that the service with this folder can restore, newest first.
 pub fn old_revisions(folder: &Path) -> Result<Vec<OldRevision>, RestoreError> {
-    let mut numbers: Vec<u64> = stored(folder)?.into_iter().map(|key| key.model.0).collect();
-    numbers.sort_unstable_by_key(|number| std::cmp::Reverse(*number));
     let can_be_restored = |number: &u64| check(folder, *number).ok();
     let old = |record: Merging| OldRevision {
         revision: record.revision,
@@ -139,19 +137,17 @@ pub fn old_revisions(folder: &Path) -> Result<Vec<OldRevision>, RestoreError> {
         models: record.inputs.len().saturating_sub(record.kept_out.len()),
         restored_from: record.restored_from,
     };
-    Ok(numbers.iter().filter_map(can_be_restored).map(old).collect())
+    Ok(newest_first(folder)?.iter().filter_map(can_be_restored).map(old).collect())
 }
 
 /// The stored revisions of the service with this folder that cannot be restored, newest first, and why. The newest revision is
 /// not among them.
 pub fn lost_revisions(folder: &Path) -> Result<Vec<(u64, RestoreError)>, RestoreError> {
-    let mut numbers: Vec<u64> = stored(folder)?.into_iter().map(|key| key.model.0).collect();
-    numbers.sort_unstable_by_key(|number| std::cmp::Reverse(*number));
     let fault = |number: u64| {
         let error = check(folder, number).err()?;
         (!matches!(error, RestoreError::Newest(_))).then_some((number, error))
     };
-    Ok(numbers.into_iter().filter_map(fault).collect())
+    Ok(newest_first(folder)?.into_iter().filter_map(fault).collect())
 }
 
 /// What a stored revision of the service with this folder was merged from; `None` if that is not known.
@@ -298,6 +294,13 @@ fn record_path(folder: &Path, revision: u64) -> PathBuf {
 
 fn stored(folder: &Path) -> Result<Vec<ModelKey>, StoreError> {
     ModelStore::beside(&global_store(folder)).keys()
+}
+
+/// The numbers of the stored revisions.
+fn newest_first(folder: &Path) -> Result<Vec<u64>, StoreError> {
+    let mut numbers: Vec<u64> = stored(folder)?.into_iter().map(|key| key.model.0).collect();
+    numbers.sort_unstable_by_key(|number| std::cmp::Reverse(*number));
+    Ok(numbers)
 }
 
 /// The record of a revision, if it can be restored.

@@ -38,6 +38,15 @@ pub fn check(path: &Path) -> Result<(), SceneError> {
     RealDisk.create(&partial.0).map(drop).map_err(|cause| SceneError::io(path, cause))
 }
 
+/// Fails if nobody may create files in this folder. A full disk is no failure: it may have room when a file is written.
+pub fn check_folder(folder: &Path) -> Result<(), SceneError> {
+    let partial = Partial(partial_path(&folder.join("check")));
+    match RealDisk.create(&partial.0).map_err(|cause| SceneError::io(folder, cause)) {
+        Err(error) if !is_full_disk(&error) => Err(error),
+        _ => Ok(()),
+    }
+}
+
 /// As [`write()`], with a content that is in memory.
 pub fn write_bytes(path: &Path, content: &[u8]) -> Result<(), SceneError> {
     write_sized(path, content.len() as u64, |file| file.write_all(content))
@@ -212,6 +221,12 @@ mod tests {
         check(&folder.path().join("a.bin")).unwrap();
         assert!(names(folder.path()).is_empty());
         assert!(check(folder.path()).unwrap_err().to_string().ends_with("is a folder; name a file"));
+        check_folder(folder.path()).unwrap();
+        assert!(names(folder.path()).is_empty());
+        if cfg!(target_os = "linux") {
+            let error = check_folder(Path::new("/proc/self")).unwrap_err().to_string();
+            assert!(error.starts_with("/proc/self: "), "{error}");
+        }
     }
 
     #[test]
