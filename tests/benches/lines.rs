@@ -28,6 +28,9 @@ struct Arguments {
     /// Longest time that is waited for a transfer, as a multiple of that
     #[arg(long, value_name = "N", default_value_t = 12.0)]
     patience: f64,
+    /// Measure only the rows whose names begin with this, for example `up, 2 kB/s`
+    #[arg(long, value_name = "TEXT", default_value = "")]
+    only: String,
     /// Passed by cargo to every bench
     #[arg(long, hide = true)]
     bench: bool,
@@ -114,6 +117,7 @@ fn main() -> Result<()> {
         })
         .chain(FAILURES.map(|failure| (FAILING_RATE, failure)))
         .flat_map(|(rate, trouble)| [Way::Up, Way::Down].map(|way| (rate, trouble, way)))
+        .filter(|(rate, trouble, way)| row_name(*rate, *trouble, *way).starts_with(&arguments.only))
         .collect();
     let columns: Vec<Column> = brokers
         .iter()
@@ -146,12 +150,16 @@ fn main() -> Result<()> {
             .collect()
     });
     for ((rate, trouble, way), outcomes) in cases.iter().zip(&outcomes) {
-        let way = if *way == Way::Up { "up" } else { "down" };
         let cells: Vec<_> = outcomes.iter().flat_map(|outcome| [outcome.time, Some(outcome.bytes)]).collect();
-        measurement.row(&format!("{way}, {rate} kB/s, {}", trouble.name()), &cells);
+        measurement.row(&row_name(*rate, *trouble, *way), &cells);
     }
     measurement.finish()?;
     Ok(())
+}
+
+fn row_name(rate: f64, trouble: Trouble, way: Way) -> String {
+    let way = if way == Way::Up { "up" } else { "down" };
+    format!("{way}, {rate} kB/s, {}", trouble.name())
 }
 
 fn transfer(

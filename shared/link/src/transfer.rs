@@ -31,8 +31,10 @@ pub(crate) struct Transfer {
     pub(crate) want_topic: Topic,
     /// Time when the last new chunk arrived, or the header if no chunk has arrived.
     pub(crate) last_news: Duration,
-    /// Time when the last chunk arrived, new or not.
+    /// Time when the last chunk arrived, new or not, or of the first connection after it.
     last_heard: Duration,
+    /// Whether a connection has come after the last chunk.
+    is_connected_since: bool,
     /// Time of the last `Want` that was marked `idle`. The sender needs time to react to it, so the next such
     /// `Want` must wait.
     last_idle: Duration,
@@ -91,6 +93,7 @@ impl Transfer {
             want_topic,
             last_news: now,
             last_heard: now,
+            is_connected_since: false,
             last_idle: now,
             last_want: now,
             body: Arc::new(vec![0; claim as usize]),
@@ -223,9 +226,12 @@ impl Transfer {
     }
 
     /// Notes a new connection. What a broker has kept for this receiver comes now, so the wait for it begins again: otherwise,
-    /// it would be asked for at once, and come twice.
+    /// it would be asked for at once, and come twice. Further connections without a chunk do not: if each broke within a second,
+    /// nothing lost would ever be asked for.
     pub(crate) fn on_connected(&mut self, now: Duration) {
-        self.last_heard = now;
+        if !self.is_connected_since {
+            (self.last_heard, self.is_connected_since) = (now, true);
+        }
     }
 
     /// Schedules a `Want` for `now`, because the sender has repeated its offer.
@@ -316,7 +322,7 @@ impl Transfer {
         if now.saturating_sub(self.last_news) >= (self.idle_after() * IDLE_GAPS).min(IDLE_MAX) {
             return;
         }
-        self.last_heard = now;
+        (self.last_heard, self.is_connected_since) = (now, false);
         let later = now + self.idle_after();
         if let TransferPhase::Fetching { want_at } = &mut self.phase
             && *want_at > now
@@ -330,7 +336,7 @@ impl Transfer {
         // Capping the gap limits the effect of an outage on the average.
         let gap = now.saturating_sub(self.last_news).min(self.gap * IDLE_GAPS);
         self.gap = (self.gap * 7 + gap) / 8;
-        (self.last_news, self.last_heard) = (now, now);
+        (self.last_news, self.last_heard, self.is_connected_since) = (now, now, false);
         self.new_since_want += 1;
         let idle_after = self.idle_after();
         self.want_backoff = Backoff::new(idle_after, IDLE_MAX);

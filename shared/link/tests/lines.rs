@@ -344,3 +344,32 @@ fn chunks_of_a_global_model_become_smaller_for_a_drone_that_few_reach() {
         Some(2048)
     );
 }
+
+/// All chunks are lost, and each connection breaks before the time after which the receiver asks for them again: it asks all
+/// the same. Once, a download over a line that broke each second did not go on.
+#[test]
+fn what_is_lost_is_asked_for_although_connections_are_short() {
+    let mut node = Node::new(drone(), InboxLimits::default(), &[]);
+    let mut link = Congested { events: vec![TransportEvent::Connected], sent: Vec::new() };
+    let model = offer("ground", 1, ModelKind::Global, 1, 20 * 640, 8192);
+    let header = Uploader::global(drone().site, TileId::WHOLE, model, &[drone().device]).next(S).unwrap();
+    let mut take = |link: &mut Congested, now: Duration, event: TransportEvent| {
+        link.events.push(event);
+        while node.step(link, || now, Duration::ZERO).is_some() {}
+        node.step(link, || now, Duration::ZERO);
+    };
+    let Outgoing { topic, payload, .. } = header;
+    take(&mut link, S, TransportEvent::Incoming { topic: topic.to_string(), payload });
+    let is_idle = |message: &Outgoing| match Sealed::decode(&message.payload) {
+        Ok(Sealed { message: Message::Want(want), .. }) => want.idle,
+        _ => false,
+    };
+    let asked = (2..30).find(|second| {
+        let reason = "cut".to_owned();
+        take(&mut link, *second * S, TransportEvent::Disconnected { attempt: 1, reason });
+        take(&mut link, *second * S, TransportEvent::Connected);
+        link.sent.iter().any(is_idle)
+    });
+    // Not at once: what the broker has kept may still come.
+    assert!(asked.is_some_and(|second| (4..15).contains(&second)), "{asked:?}");
+}
