@@ -15,6 +15,8 @@ mod run;
 mod stop;
 mod train;
 
+use std::process::ExitCode;
+
 use anyhow::Result;
 use clap::{Parser, Subcommand};
 use cosurf_cli::{VERSION, shell};
@@ -61,6 +63,11 @@ enum Command {
     Completions(shell::CompletionsArgs),
     #[command(after_help = "Example:\n  cosurf-agent man ~/.local/share/man/man1")]
     Man(shell::ManArgs),
+}
+
+/// The exit code of the program after an error.
+pub(crate) fn failure() -> ExitCode {
+    if stop::is_asked() { ExitCode::from(stop::ENDED_BY_SIGNAL) } else { ExitCode::FAILURE }
 }
 
 pub(crate) fn run(cli: Cli) -> Result<()> {

@@ -15,7 +15,7 @@ fn main() -> ExitCode {
         Err(error) => {
             // `{:#}` prints the error and its causes on one line.
             eprintln!("cosurf-agent: {error:#}");
-            ExitCode::FAILURE
+            cli::failure()
         }
     }
 }

@@ -12,7 +12,7 @@ use anyhow::{Context, Result};
 use cosurf_agent::status::StatusBoard;
 
 /// Exit code of a program that a signal has ended, as shells report it for Ctrl-C.
-const ENDED_BY_SIGNAL: i32 = 130;
+pub(super) const ENDED_BY_SIGNAL: u8 = 130;
 
 /// Interval at which a program that is to end looks whether its training has ended.
 const TRAINING_POLL: Duration = Duration::from_millis(100);
@@ -33,7 +33,7 @@ pub(super) fn listen() -> Result<()> {
                 board.stop();
                 thread::sleep(LAST_STATUS_TIME);
             }
-            process::exit(ENDED_BY_SIGNAL);
+            process::exit(ENDED_BY_SIGNAL.into());
         }
     })
     .context("cannot install the Ctrl-C handler")
@@ -48,7 +48,7 @@ pub(super) fn end_with_stdin() {
         while IS_TRAINING.load(Ordering::SeqCst) {
             thread::sleep(TRAINING_POLL);
         }
-        process::exit(ENDED_BY_SIGNAL);
+        process::exit(ENDED_BY_SIGNAL.into());
     });
 }
 
