@@ -1,5 +1,9 @@
 //! The schedule of a training, scaled to its number of steps. A run of 600 steps thus goes through the same phases as
 //! one of 30,000; only opacity resets are left out in short runs.
+//!
+//! Pictures have their full size in every step. Quarter and then half size for the first 60 to 80 % of the steps saves a
+//! quarter to two fifths of the time, but fewer steps at full size save as much: on Caliterra at 640 px, 600 steps with smaller
+//! pictures end at 32.20 dB and SSIM 0.903 after 59 s, 430 steps without at 32.15 dB and 0.911 after 55 s.
 
 use crate::backend::AdamRates;
 
