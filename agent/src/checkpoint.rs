@@ -95,9 +95,8 @@ pub fn set_aside(out: &Path) -> Result<PathBuf> {
     Ok(files::set_aside(&path(out))?)
 }
 
-/// Makes the folder of the checkpoint in the output folder `out`, unless it is there, and checks that files can be written to
-/// it. Deletes what killed programs left of
-/// unfinished checkpoints.
+/// Makes the checkpoint's folder in the output folder `out`, unless it is there. Fails if no file may be created in it. Deletes
+/// unfinished checkpoints of killed programs.
 pub fn make_folder(out: &Path) -> Result<()> {
     let folder = out.join(FOLDER);
     files::create_folder(&folder)?;

@@ -178,7 +178,7 @@ fn a_training_that_is_asked_to_end_writes_a_checkpoint_and_says_how_to_go_on() {
         assert_eq!(text().contains("resumed at step"), resumed, "{}", text());
         let killed = Command::new("kill").args([signal, &child.id().to_string()]).status().unwrap();
         assert!(killed.success());
-        // As outside of a training, so that systemd does not count it as a failure.
+        // The code after a signal, which the systemd unit does not count as a failure.
         assert_eq!(child.wait().unwrap().code(), Some(130));
         assert!(
             text().contains("stopped at step") && text().contains("run the same command again"),

@@ -133,7 +133,7 @@ impl LocalModel {
 }
 
 impl Job {
-    /// Makes the folders in `out`. If something is in the way, or nothing can be written, that is told before the training.
+    /// Makes the folders in `out` before the training, so that an obstacle, or a missing right to write, is reported early.
     fn make_folders(&self) -> Result<()> {
         let out = &self.config.out;
         checkpoint::make_folder(out)?;

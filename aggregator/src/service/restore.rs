@@ -296,7 +296,7 @@ fn stored(folder: &Path) -> Result<Vec<ModelKey>, StoreError> {
     ModelStore::beside(&global_store(folder)).keys()
 }
 
-/// The numbers of the stored revisions.
+/// The numbers of the stored revisions, newest first.
 fn newest_first(folder: &Path) -> Result<Vec<u64>, StoreError> {
     let mut numbers: Vec<u64> = stored(folder)?.into_iter().map(|key| key.model.0).collect();
     numbers.sort_unstable_by_key(|number| std::cmp::Reverse(*number));

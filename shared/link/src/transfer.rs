@@ -31,7 +31,7 @@ pub(crate) struct Transfer {
     pub(crate) want_topic: Topic,
     /// Time when the last new chunk arrived, or the header if no chunk has arrived.
     pub(crate) last_news: Duration,
-    /// Time when the last chunk arrived, new or not, or of the first connection after it.
+    /// Time of the last chunk, new or not, or of the first connection after it.
     last_heard: Duration,
     /// Whether a connection has come after the last chunk.
     is_connected_since: bool,
@@ -225,9 +225,9 @@ impl Transfer {
         }
     }
 
-    /// Notes a new connection. What a broker has kept for this receiver comes now, so the wait for it begins again: otherwise,
-    /// it would be asked for at once, and come twice. Further connections without a chunk do not: if each broke within a second,
-    /// nothing lost would ever be asked for.
+    /// Notes a new connection. The chunks that a broker has kept for this receiver come now. If the receiver asked for them at
+    /// once, they would come twice, so its wait begins anew. Only the first connection after a chunk has this effect: if every
+    /// one had, and each broke within a second, the receiver would never ask for lost chunks.
     pub(crate) fn on_connected(&mut self, now: Duration) {
         if !self.is_connected_since {
             (self.last_heard, self.is_connected_since) = (now, true);

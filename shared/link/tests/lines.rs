@@ -345,8 +345,8 @@ fn chunks_of_a_global_model_become_smaller_for_a_drone_that_few_reach() {
     );
 }
 
-/// All chunks are lost, and each connection breaks before the time after which the receiver asks for them again: it asks all
-/// the same. Once, a download over a line that broke each second did not go on.
+/// All chunks are lost, and every connection is shorter than the receiver's wait before it asks again. It must still ask. In an
+/// earlier version, a download over a line that broke each second never ended.
 #[test]
 fn what_is_lost_is_asked_for_although_connections_are_short() {
     let mut node = Node::new(drone(), InboxLimits::default(), &[]);

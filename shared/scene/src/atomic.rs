@@ -38,7 +38,7 @@ pub fn check(path: &Path) -> Result<(), SceneError> {
     RealDisk.create(&partial.0).map(drop).map_err(|cause| SceneError::io(path, cause))
 }
 
-/// Fails if nobody may create files in this folder. A full disk is no failure: it may have room when a file is written.
+/// Fails if this program may not create files in the folder. A full disk is no failure: it may have room later.
 pub fn check_folder(folder: &Path) -> Result<(), SceneError> {
     let partial = Partial(partial_path(&folder.join("check")));
     match RealDisk.create(&partial.0).map_err(|cause| SceneError::io(folder, cause)) {

@@ -26,8 +26,8 @@ impl Drop for FolderLock {
 
 impl FolderLock {
     /// Creates the folder and takes the lock. Others who want it are told `program` and the number of this process. Fails
-    /// with [`SceneError::InUse`] if somebody else has it, and if no file may be created in the folder. Where the file system
-    /// cannot lock files, nobody is kept out. Deletes what killed programs left of unfinished files.
+    /// with [`SceneError::InUse`] if somebody else has it, and with another error if this program may not create files in the
+    /// folder. Where the file system cannot lock files, nobody is kept out. Deletes unfinished files of killed programs.
     pub fn take(folder: &Path, program: &str) -> Result<Self, SceneError> {
         files::create_folder(folder)?;
         let path = folder.join(NAME);
