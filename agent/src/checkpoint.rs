@@ -99,8 +99,7 @@ pub fn set_aside(out: &Path) -> Result<PathBuf> {
 /// unfinished checkpoints of killed programs.
 pub fn make_folder(out: &Path) -> Result<()> {
     let folder = out.join(FOLDER);
-    files::create_folder(&folder)?;
-    atomic::check_folder(&folder)?;
+    atomic::prepare_folder(&folder)?;
     Ok(atomic::remove_partial_files(&folder)?)
 }
 

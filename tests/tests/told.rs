@@ -270,6 +270,31 @@ fn a_full_disk_is_told_before_the_training() {
     Agent::spawn(folder.path(), command).tells("free some");
 }
 
+/// In /proc, nobody may create files, administrators neither.
+#[test]
+#[cfg(target_os = "linux")]
+fn a_folder_in_which_no_file_may_be_created_is_told_at_once() {
+    let folder = tempfile::tempdir().unwrap();
+    let without_rights = |name: &str| {
+        prepare(folder.path(), "serial = \"/dev/no-radio\"", 100_000);
+        fs::create_dir(folder.path().join("out")).unwrap();
+        std::os::unix::fs::symlink("/proc/self", folder.path().join("out").join(name)).unwrap();
+    };
+    for name in ["checkpoint", "global"] {
+        without_rights(name);
+        Agent::spawn(folder.path(), Command::new(program("cosurf-agent"))).tells(&format!("out/{name}: "));
+    }
+    let bind = TcpListener::bind("127.0.0.1:0").unwrap().local_addr().unwrap();
+    let aggregator = format!("site = \"s\"\nout = \"out\"\nbind = \"{bind}\"\n");
+    fs::write(folder.path().join("aggregator.toml"), aggregator).unwrap();
+    for name in ["models", "parts", "global", "tiles", "sent", "handed"] {
+        without_rights(name);
+        let mut command = Command::new(program("cosurf-aggregator"));
+        command.arg("run");
+        Agent::spawn_with(folder.path(), command).tells(&format!("out/{name}: "));
+    }
+}
+
 /// Goal: a disk that fills during a training does not end it. Method: the disk is filled once the training has begun, and
 /// emptied when the agent has tried twice to write.
 #[test]

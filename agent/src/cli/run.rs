@@ -22,7 +22,7 @@ use cosurf_contract::{AgentConfig, AgentEvent, ComparedWith, Share, usage};
 use cosurf_engine::{PruneSettings, SurfaceSettings, base_of};
 use cosurf_geo::Geodetic;
 use cosurf_link::{Credentials, Identity, Role, SecretKey, next_session};
-use cosurf_scene::{Camera, FolderLock, LocalFrame, Splats, atomic, camera_list, files, ply};
+use cosurf_scene::{Camera, FolderLock, LocalFrame, Splats, atomic, camera_list, ply};
 use cosurf_wire::DeviceId;
 
 use super::host::{self, cores, default_memory};
@@ -137,9 +137,7 @@ impl Job {
     fn make_folders(&self) -> Result<()> {
         let out = &self.config.out;
         checkpoint::make_folder(out)?;
-        let global = global_models(out);
-        files::create_folder(&global)?;
-        Ok(atomic::check_folder(&global)?)
+        Ok(atomic::prepare_folder(&global_models(out))?)
     }
 
     fn load(path: &Path) -> Result<Self> {

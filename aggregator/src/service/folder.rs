@@ -9,7 +9,7 @@ use std::rc::Rc;
 use std::time::UNIX_EPOCH;
 
 use cosurf_link::{Model, ModelKey, ModelStore, body_to_model};
-use cosurf_scene::{LocalFrame, SceneError, Splats, camera_list, files, ply};
+use cosurf_scene::{LocalFrame, SceneError, Splats, atomic, camera_list, ply};
 use cosurf_wire::{DeviceId, ModelHeader, ModelId};
 
 use super::error::ServiceError;
@@ -43,10 +43,11 @@ pub(crate) fn global_store(folder: &Path) -> PathBuf {
     folder.join("global")
 }
 
-/// Makes the folders in the folder of a service, unless they are there. Fails if something is in the way.
+/// Makes the folders in the folder of a service, unless they are there. Fails if something is in the way, or if no file may be
+/// created in one of them.
 pub(super) fn make_folders(folder: &Path) -> Result<(), SceneError> {
     let folders = [models, parts, global_store, tiles, sent_tiles, handed_on].map(|of| of(folder));
-    folders.iter().try_for_each(|folder| files::create_folder(folder))
+    folders.iter().try_for_each(|folder| atomic::prepare_folder(folder))
 }
 
 /// Folder of the parts of unfinished models, inside the folder of a service.

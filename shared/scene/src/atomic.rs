@@ -8,7 +8,7 @@ use std::io::{self, BufWriter, Write};
 use std::path::{Path, PathBuf};
 use std::sync::atomic::{AtomicU64, Ordering};
 
-use crate::files::is_full_disk;
+use crate::files::{self, is_full_disk};
 use crate::{SceneError, check_space};
 
 /// Size of the write buffer, bytes; a larger buffer brings no measurable gain.
@@ -38,8 +38,14 @@ pub fn check(path: &Path) -> Result<(), SceneError> {
     RealDisk.create(&partial.0).map(drop).map_err(|cause| SceneError::io(path, cause))
 }
 
+/// Makes a folder, and those above it, unless they are there. Fails if this program may not create files in it.
+pub fn prepare_folder(folder: &Path) -> Result<(), SceneError> {
+    files::create_folder(folder)?;
+    check_folder(folder)
+}
+
 /// Fails if this program may not create files in the folder. A full disk is no failure: it may have room later.
-pub fn check_folder(folder: &Path) -> Result<(), SceneError> {
+pub(crate) fn check_folder(folder: &Path) -> Result<(), SceneError> {
     let partial = Partial(partial_path(&folder.join("check")));
     match RealDisk.create(&partial.0).map_err(|cause| SceneError::io(folder, cause)) {
         Err(error) if !is_full_disk(&error) => Err(error),
@@ -221,10 +227,10 @@ mod tests {
         check(&folder.path().join("a.bin")).unwrap();
         assert!(names(folder.path()).is_empty());
         assert!(check(folder.path()).unwrap_err().to_string().ends_with("is a folder; name a file"));
-        check_folder(folder.path()).unwrap();
+        prepare_folder(folder.path()).unwrap();
         assert!(names(folder.path()).is_empty());
         if cfg!(target_os = "linux") {
-            let error = check_folder(Path::new("/proc/self")).unwrap_err().to_string();
+            let error = prepare_folder(Path::new("/proc/self")).unwrap_err().to_string();
             assert!(error.starts_with("/proc/self: "), "{error}");
         }
     }
