@@ -3,6 +3,7 @@
 mod viewer_cameras;
 
 use std::f64::consts::FRAC_PI_2;
+use std::io;
 use std::path::{Path, PathBuf};
 
 use anyhow::{Context, Result, bail, ensure};
@@ -10,8 +11,14 @@ use clap::{Args, ValueEnum};
 use cosurf_contract::counted;
 use cosurf_engine::budget::PROCESS_BYTES;
 use cosurf_scene::bytes::{format_bytes, parse_bytes};
-use cosurf_scene::{Camera, Dataset, LocalFrame, Splats, atomic, model, ply, spz, turn};
+use cosurf_scene::{Camera, Dataset, LocalFrame, SceneError, Splats, atomic, model, ply, spz, turn};
 use glam::{DQuat, DVec3};
+
+/// Splats that are in memory at a time. A model is read in such parts, once for each column of an SPZ, so that it may be larger
+/// than the memory.
+const READ_AT_ONCE: usize = 4096;
+/// Memory that reading, packing and compressing take beside the process, bytes; measured.
+const WORK_BYTES: u64 = 12 << 20;
 
 /// Convert a model between PLY and SPZ; the extension of the file to write selects its format.
 ///
@@ -86,21 +93,13 @@ pub(crate) fn run(args: &ConvertArgs) -> Result<()> {
     let (path, to) = (ply::of_model(&args.model)?, Format::of(&args.out)?);
     atomic::check(&args.out)?;
     args.viewer_cameras.as_deref().map(atomic::check).transpose()?;
-    if let Some(memory_bytes) = args.memory {
-        check_memory(&path, memory_bytes)?;
-    }
+    check_memory(args.memory)?;
     let origin = model::origin(&path)?;
     let cameras = args.viewer_cameras.as_ref().map(|_| cameras(&path, origin)).transpose()?;
     if let Some(note) = model::unusable_note(&path) {
         eprintln!("{note}");
     }
-    let mut frame = LocalFrame::at(origin);
-    let mut splats = model::read(&path, &frame)?;
     let rotation = args.up.map(Up::rotation);
-    if let Some(rotation) = rotation {
-        turn::turn(&mut splats, rotation);
-        frame = LocalFrame::WORLD; // the origin belongs to the axes of the world
-    }
     if origin != DVec3::ZERO && (matches!(to, Format::Spz) || rotation.is_some()) {
         eprintln!(
             "positions are relative to {} {} {} of the world, which {} cannot hold: keep it",
@@ -110,18 +109,65 @@ pub(crate) fn run(args: &ConvertArgs) -> Result<()> {
             if rotation.is_some() { "a turned model" } else { "an SPZ" }
         );
     }
+    let model = Model { path, frame: LocalFrame::at(origin), rotation };
+    let (mut splats, mut resized) = (0, 0);
+    model.read(&mut |part| {
+        splats += part.len();
+        resized += spz::resized(part);
+    })?;
     if matches!(to, Format::Spz) {
-        tell_resized(spz::resized(&splats), splats.len());
+        tell_resized(resized, splats);
     }
     match to {
-        Format::Ply => ply::write(&args.out, &splats, &frame),
-        Format::Spz => spz::write(&args.out, &splats, args.spz_version),
+        Format::Ply => model.write_ply(&args.out, splats),
+        Format::Spz => model.write_spz(&args.out, args.spz_version),
     }
-    .with_context(|| format!("cannot write {}", counted(splats.len(), "splat")))?;
+    .with_context(|| format!("cannot write {}", counted(splats, "splat")))?;
     if let (Some(out), Some(cameras)) = (&args.viewer_cameras, cameras) {
         viewer_cameras::write(out, &cameras, rotation.unwrap_or(DQuat::IDENTITY))?;
     }
     Ok(())
+}
+
+/// A model in a file, and how it is turned.
+struct Model {
+    path: PathBuf,
+    frame: LocalFrame,
+    rotation: Option<DQuat>,
+}
+
+impl Model {
+    /// Calls `visit` with a few splats at a time.
+    fn read(&self, visit: &mut dyn FnMut(&Splats)) -> Result<(), SceneError> {
+        model::read_parts(&self.path, &self.frame, READ_AT_ONCE, |part| match self.rotation {
+            None => visit(part),
+            Some(rotation) => {
+                let mut turned = part.clone();
+                turn::turn(&mut turned, rotation);
+                visit(&turned);
+            }
+        })
+    }
+
+    fn write_ply(&self, out: &Path, splats: usize) -> Result<(), SceneError> {
+        let sh_degree = model::size(&self.path)?.1;
+        // The origin belongs to the axes of the world.
+        let frame = if self.rotation.is_none() { &self.frame } else { &LocalFrame::WORLD };
+        ply::write_with(out, splats, sh_degree, frame, |write| {
+            let mut written = Ok(());
+            let mut visit = |part: &Splats| {
+                if written.is_ok() {
+                    written = write(part);
+                }
+            };
+            self.read(&mut visit).map_err(io::Error::other)?;
+            written
+        })
+    }
+
+    fn write_spz(&self, out: &Path, version: spz::Version) -> Result<(), SceneError> {
+        spz::write_with(out, model::size(&self.path)?.1, version, &|visit| self.read(visit))
+    }
 }
 
 /// Tells the user if an SPZ changes the size of many splats: then the model has an unusual unit.
@@ -142,18 +188,13 @@ fn cameras(model: &Path, origin: DVec3) -> Result<Vec<Camera>> {
     Ok(cameras.iter().map(|camera| frame.local_camera(camera)).collect())
 }
 
-/// Fails if the splats, and those of an SPZ before compression, take more memory than allowed.
-fn check_memory(model: &Path, memory_bytes: u64) -> Result<()> {
-    let (splats, sh_degree) = model::size(model)?;
-    let per_splat = Splats::bytes_per_splat(sh_degree) + spz::body_bytes(sh_degree);
-    let needed_bytes = PROCESS_BYTES + (splats * per_splat) as u64;
+/// Fails if converting takes more memory than allowed. It takes the same for models of all sizes.
+fn check_memory(memory_bytes: Option<u64>) -> Result<()> {
+    let needed_bytes = PROCESS_BYTES + WORK_BYTES;
     ensure!(
-        needed_bytes <= memory_bytes,
-        "{}: {} need --memory {}MiB instead of {}",
-        model.display(),
-        counted(splats as u64, "splat"),
-        needed_bytes.div_ceil(1 << 20),
-        format_bytes(memory_bytes)
+        memory_bytes.is_none_or(|memory_bytes| needed_bytes <= memory_bytes),
+        "--memory: give at least {}",
+        format_bytes(needed_bytes)
     );
     Ok(())
 }

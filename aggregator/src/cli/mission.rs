@@ -25,8 +25,9 @@ use super::merge::Ways;
 /// Least memory for the merge of a mission with a page, bytes. The merge itself tells if a model needs more.
 const MERGE_BYTES_MIN: u64 = 64 << 20;
 /// Long side to which photographs are shrunk, pixels, unless `--max-size` tells another one. With it, 75 photographs take
-/// less than 20 minutes on two cores from photographs to survey; at their 1,280 pixels the training alone takes 35.
-const PHOTOGRAPHS_PX: u32 = 640;
+/// less than 20 minutes on two cores from photographs to survey; with 640 pixels 21, and at their 1,280 pixels the training
+/// alone takes 35.
+const PHOTOGRAPHS_PX: u32 = 512;
 
 /// Run a whole mission on this machine, from drone pictures to a global model and a report.
 ///
@@ -71,7 +72,7 @@ pub(crate) struct MissionArgs {
     /// Memory limit of each agent, for example 500MiB
     #[arg(long, value_name = "BYTES", default_value = "1GiB", value_parser = parse_bytes)]
     memory: u64,
-    /// Shrink pictures until their long side is at most this many pixels [default: full size; 640 if poses must be found]
+    /// Shrink pictures until their long side is at most this many pixels [default: full size; 512 if poses must be found]
     #[arg(long, value_name = "PX", value_parser = clap::value_parser!(u32).range(16..))]
     max_size: Option<u32>,
     /// Seed of every random choice; the same seed gives the same bytes

@@ -6,6 +6,8 @@
 //! axes are right, up, back; those of the 3DGS PLY are right, down, forward. So y and z change sign when a file is written or
 //! read, as in other converters. Viewers then show the SPZ like the PLY.
 //!
+//! A file has one column after the other, so a model that does not fit into the memory is read once for each ([`write_with`]).
+//!
 //! The format is lossy: use it for viewing models, not for keeping them. Its steps are 0.24 mm for coordinates below
 //! 2 km, 6 % for scales from 0.045 mm to 380 m, and 0.1° for rotations (1° in version 2). Spherical harmonics have 4 or 5
 //! bits.
@@ -34,7 +36,7 @@ mod steps;
 mod tests;
 mod unpack;
 
-use std::io::Read;
+use std::io::{Cursor, Read};
 use std::path::Path;
 
 use glam::DVec3;
@@ -52,13 +54,30 @@ const READ_AT_ONCE: usize = 1024;
 /// Writes `splats` as SPZ, atomically: after an error, an earlier file at `path` is unchanged. Errors: a coordinate
 /// beyond ±8,388,607, and version 1, which is not written.
 pub fn write(path: &Path, splats: &Splats, version: Version) -> Result<(), SceneError> {
+    write_with(path, splats.sh_degree, version, &whole(splats))
+}
+
+/// As [`write()`], for splats that come in parts of this degree, so that they need not all be in memory. `source` is called
+/// up to seven times, and hands over the same splats each time.
+pub fn write_with(path: &Path, sh_degree: u32, version: Version, source: &Source) -> Result<(), SceneError> {
     if version == Version::V1 {
         return Err(SceneError::malformed(path, "SPZ of version 1 is not written; choose version 2, 3 or 4"));
     }
-    let fraction_bits = pack::fraction_bits(splats).ok_or_else(|| {
+    let header = pack::header(sh_degree, version, source)?.ok_or_else(|| {
         SceneError::malformed(path, "SPZ cannot hold coordinates beyond 8,388,607; write a PLY instead")
     })?;
-    atomic::write(path, |out| pack::encode(out, splats, fraction_bits, version))
+    atomic::write(path, |out| pack::encode(out, &header, source))
+}
+
+/// Calls a function with the parts of a model, one after the other.
+pub type Source<'a> = dyn Fn(&mut dyn FnMut(&Splats)) -> Result<(), SceneError> + 'a;
+
+/// Splats as one part.
+fn whole(splats: &Splats) -> impl Fn(&mut dyn FnMut(&Splats)) -> Result<(), SceneError> {
+    |visit| {
+        visit(splats);
+        Ok(())
+    }
 }
 
 /// The bytes of an SPZ file of version 3 with these splats; `None` if a coordinate is beyond ±8,388,607.
@@ -68,10 +87,11 @@ pub fn to_bytes(splats: &Splats) -> Option<Vec<u8>> {
 
 /// As [`to_bytes`], of version 2, 3 or 4.
 pub(crate) fn to_bytes_of(splats: &Splats, version: Version) -> Option<Vec<u8>> {
-    let fraction_bits = pack::fraction_bits(splats)?;
-    let mut bytes = Vec::new();
-    pack::encode(&mut bytes, splats, fraction_bits, version).ok()?;
-    Some(bytes)
+    let source = whole(splats);
+    let header = pack::header(splats.sh_degree, version, &source).ok()??;
+    let mut bytes = Cursor::new(Vec::new());
+    pack::encode(&mut bytes, &header, &source).ok()?;
+    Some(bytes.into_inner())
 }
 
 /// Number of splats that a file holds in another size, because their second longest axis is below 0.045 mm, or their longest

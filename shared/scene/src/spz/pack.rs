@@ -1,14 +1,15 @@
 //! From splats to the bytes of an SPZ file.
 
-use std::io::{self, Write};
+use std::io::{self, Seek, SeekFrom, Write};
 
 use flate2::Compression;
 use flate2::write::GzEncoder;
 
+use super::Source;
 use super::columns::V4_HEAD_BYTES;
-use super::header::{COORDINATE_BITS, HEAD_BYTES, MAGIC, Version};
+use super::header::{COORDINATE_BITS, HEAD_BYTES, Header, MAGIC, Version};
 use super::steps::{AXIS_SIGNS, COLOR_SCALE, LOG_SCALE_MIN, LOG_SCALE_STEPS, SH_SIGNS};
-use crate::Splats;
+use crate::{SceneError, Splats};
 
 /// Largest number of fractional bits of a coordinate; far coordinates get fewer.
 const FRACTION_BITS: u8 = 12;
@@ -16,81 +17,159 @@ const FRACTION_BITS: u8 = 12;
 const SH_BITS: [u32; 2] = [5, 4];
 /// Level of zstd: its default.
 const ZSTD_LEVEL: i32 = 3;
+/// Bytes that a compressor gets at a time. What it makes of them depends on their number, and not on the parts of a model.
+const CHUNK_BYTES: usize = 1 << 16;
 
-/// The largest number of fractional bits with which every coordinate fits; `None` if a coordinate is too large.
-pub(super) fn fraction_bits(splats: &Splats) -> Option<u8> {
-    let farthest = splats.means.iter().flatten().fold(0.0f32, |far, v| far.max(v.abs()));
+/// The head of a file, with the largest number of fractional bits with which every coordinate fits; `None` if a coordinate is
+/// too large.
+pub(super) fn header(
+    sh_degree: u32,
+    version: Version,
+    source: &Source,
+) -> Result<Option<Header>, SceneError> {
+    let (mut splats, mut farthest) = (0, 0.0f32);
+    source(&mut |part| {
+        splats += part.len();
+        farthest = part.means.iter().flatten().fold(farthest, |far, v| far.max(v.abs()));
+    })?;
     let most = ((1u32 << (COORDINATE_BITS - 1)) - 1) as f32;
-    (0..=FRACTION_BITS).rev().find(|bits| farthest * (1u32 << bits) as f32 <= most)
+    let fraction_bits = (0..=FRACTION_BITS).rev().find(|bits| farthest * (1u32 << bits) as f32 <= most);
+    let with = |fraction_bits| Header { version, splats, degree_in_file: sh_degree, fraction_bits };
+    Ok(fraction_bits.map(with))
 }
 
 /// Writes a file of version 2, 3 or 4.
-pub(super) fn encode(
-    mut out: impl Write,
-    splats: &Splats,
-    fraction_bits: u8,
-    version: Version,
-) -> io::Result<()> {
-    let columns = columns(splats, fraction_bits, version);
-    let mut head = head(splats, fraction_bits, version);
-    if version < Version::V4 {
-        let mut gzip = GzEncoder::new(out, Compression::default());
-        gzip.write_all(&head)?;
-        columns.iter().try_for_each(|column| gzip.write_all(column))?;
-        return gzip.finish().map(drop);
+pub(super) fn encode(out: &mut (impl Write + Seek), header: &Header, source: &Source) -> io::Result<()> {
+    if header.version == Version::V4 {
+        encode_zstd(out, header, source)
+    } else {
+        encode_gzip(out, header, source)
     }
-    let stored = columns.iter().filter(|column| !column.is_empty());
-    let packed: Vec<Vec<u8>> =
-        stored.clone().map(|column| compressed(column.as_slice())).collect::<io::Result<_>>()?;
-    head[HEAD_BYTES - 1] = packed.len() as u8;
-    out.write_all(&head)?;
+}
+
+/// One stream has the head and all columns.
+fn encode_gzip(out: &mut impl Write, header: &Header, source: &Source) -> io::Result<()> {
+    let mut gzip = GzEncoder::new(out, Compression::default());
+    gzip.write_all(&head(header, 0))?;
+    COLUMNS
+        .iter()
+        .enumerate()
+        .try_for_each(|(k, column)| write_column(&mut gzip, header, k, *column, source))?;
+    gzip.finish().map(drop)
+}
+
+/// The streams of the columns that are not empty, behind a table of their sizes, which are known afterwards.
+fn encode_zstd(out: &mut (impl Write + Seek), header: &Header, source: &Source) -> io::Result<()> {
+    let sizes = header.columns().map(|bytes| bytes as u64 * header.splats as u64);
+    let stored: Vec<usize> = (0..sizes.len()).filter(|k| sizes[*k] > 0).collect();
+    out.write_all(&head(header, stored.len() as u8))?;
     out.write_all(&V4_HEAD_BYTES.to_le_bytes())?; // offset of the table
     out.write_all(&[0; 12])?;
-    for (column, packed) in stored.zip(&packed) {
-        out.write_all(&(packed.len() as u64).to_le_bytes())?;
-        out.write_all(&(column.len() as u64).to_le_bytes())?;
+    let table_at = out.stream_position()?;
+    let mut table: Vec<[u64; 2]> = stored.iter().map(|k| [0, sizes[*k]]).collect();
+    write_table(out, &table)?;
+    for (k, [packed_bytes, _]) in stored.into_iter().zip(&mut table) {
+        let begin = out.stream_position()?;
+        let mut zstd = zstd::Encoder::new(&mut *out, ZSTD_LEVEL)?;
+        zstd.include_checksum(true)?;
+        zstd.set_pledged_src_size(Some(sizes[k]))?;
+        write_column(&mut zstd, header, k, COLUMNS[k], source)?;
+        zstd.finish()?;
+        *packed_bytes = out.stream_position()? - begin;
     }
-    packed.iter().try_for_each(|packed| out.write_all(packed))
+    out.seek(SeekFrom::Start(table_at))?;
+    write_table(out, &table)
 }
 
-/// A column as a stream of zstd with a checksum.
-fn compressed(column: &[u8]) -> io::Result<Vec<u8>> {
-    let mut zstd = zstd::bulk::Compressor::new(ZSTD_LEVEL)?;
-    zstd.include_checksum(true)?;
-    zstd.compress(column)
+fn write_table(out: &mut impl Write, table: &[[u64; 2]]) -> io::Result<()> {
+    table.iter().flatten().try_for_each(|bytes| out.write_all(&bytes.to_le_bytes()))
 }
 
-fn head(splats: &Splats, fraction_bits: u8, version: Version) -> [u8; HEAD_BYTES] {
+fn head(header: &Header, streams: u8) -> [u8; HEAD_BYTES] {
     let mut head = [0; HEAD_BYTES];
     head[..4].copy_from_slice(&MAGIC);
-    head[4..8].copy_from_slice(&(version as u32).to_le_bytes());
-    head[8..12].copy_from_slice(&(splats.len() as u32).to_le_bytes());
-    head[12] = splats.sh_degree as u8;
-    head[13] = fraction_bits;
+    head[4..8].copy_from_slice(&(header.version as u32).to_le_bytes());
+    head[8..12].copy_from_slice(&(header.splats as u32).to_le_bytes());
+    head[12] = header.degree_in_file as u8;
+    head[13] = header.fraction_bits;
+    head[HEAD_BYTES - 1] = streams;
     head
 }
 
-fn columns(splats: &Splats, fraction_bits: u8, version: Version) -> [Vec<u8>; 6] {
-    let byte = |value: f32| value.round().clamp(0.0, 255.0) as u8;
-    let per_unit = (1u32 << fraction_bits) as f32;
+/// Appends what a column has of some splats.
+type Column = fn(&Splats, &Header, &mut Vec<u8>);
+
+/// The columns, in the order of the file.
+const COLUMNS: [Column; 6] = [positions, opacities, colors, scales, quats, harmonics];
+
+/// Writes column `k` of all splats.
+fn write_column(
+    out: &mut impl Write,
+    header: &Header,
+    k: usize,
+    column: Column,
+    source: &Source,
+) -> io::Result<()> {
+    let wanted_bytes = header.columns()[k] as u64 * header.splats as u64;
+    if wanted_bytes == 0 {
+        return Ok(());
+    }
+    let (mut bytes, mut written_bytes, mut written) = (Vec::new(), 0, Ok(()));
+    source(&mut |part| {
+        column(part, header, &mut bytes);
+        let whole = bytes.len() / CHUNK_BYTES * CHUNK_BYTES;
+        if written.is_ok() {
+            written = bytes[..whole].chunks(CHUNK_BYTES).try_for_each(|chunk| out.write_all(chunk));
+        }
+        bytes.drain(..whole);
+        written_bytes += whole as u64;
+    })
+    .map_err(io::Error::other)?;
+    written?;
+    out.write_all(&bytes)?;
+    if written_bytes + bytes.len() as u64 != wanted_bytes {
+        return Err(io::Error::other("the model changed while it was read; try again"));
+    }
+    Ok(())
+}
+
+fn byte(value: f32) -> u8 {
+    value.round().clamp(0.0, 255.0) as u8
+}
+
+fn positions(splats: &Splats, header: &Header, out: &mut Vec<u8>) {
+    let per_unit = (1u32 << header.fraction_bits) as f32;
     let fixed = |value: f32, sign: f32| ((value * sign * per_unit).round() as i32).to_le_bytes();
     let position = |mean: &[f32; 3]| [0, 1, 2].map(|k| fixed(mean[k], AXIS_SIGNS[k]));
-    let positions = splats.means.iter().flat_map(position).flat_map(|[a, b, c, _]| [a, b, c]);
-    let opacities = splats.opacity_logits.iter().map(|logit| byte(255.0 / (1.0 + (-logit).exp())));
-    let colors = (0..splats.len())
-        .flat_map(|i| [0, 1, 2].map(|k| byte((splats.sh_of(i)[k] * COLOR_SCALE + 0.5) * 255.0)));
-    let scales = splats.log_scales.iter().flatten().map(|v| byte((v - LOG_SCALE_MIN) * LOG_SCALE_STEPS));
-    let quats = match version >= Version::V3 {
-        true => splats.quats.iter().flat_map(|quat| pack_quat(*quat)).collect(),
-        false => splats.quats.iter().flat_map(|quat| pack_quat_coarsely(*quat)).collect(),
-    };
-    let mut sh = Vec::with_capacity(splats.sh.len() - 3 * splats.len());
+    out.extend(splats.means.iter().flat_map(position).flat_map(|[a, b, c, _]| [a, b, c]));
+}
+
+fn opacities(splats: &Splats, _: &Header, out: &mut Vec<u8>) {
+    out.extend(splats.opacity_logits.iter().map(|logit| byte(255.0 / (1.0 + (-logit).exp()))));
+}
+
+fn colors(splats: &Splats, _: &Header, out: &mut Vec<u8>) {
+    let color = |i| [0, 1, 2].map(|k| byte((splats.sh_of(i)[k] * COLOR_SCALE + 0.5) * 255.0));
+    out.extend((0..splats.len()).flat_map(color));
+}
+
+fn scales(splats: &Splats, _: &Header, out: &mut Vec<u8>) {
+    out.extend(splats.log_scales.iter().flatten().map(|v| byte((v - LOG_SCALE_MIN) * LOG_SCALE_STEPS)));
+}
+
+fn quats(splats: &Splats, header: &Header, out: &mut Vec<u8>) {
+    match header.version >= Version::V3 {
+        true => out.extend(splats.quats.iter().flat_map(|quat| pack_quat(*quat))),
+        false => out.extend(splats.quats.iter().flat_map(|quat| pack_quat_coarsely(*quat))),
+    }
+}
+
+fn harmonics(splats: &Splats, _: &Header, out: &mut Vec<u8>) {
     for i in 0..splats.len() {
         for (k, values) in splats.sh_of(i).chunks_exact(3).enumerate().skip(1) {
-            sh.extend(values.iter().map(|v| pack_sh(v * SH_SIGNS[k], SH_BITS[usize::from(k > 3)])));
+            out.extend(values.iter().map(|v| pack_sh(v * SH_SIGNS[k], SH_BITS[usize::from(k > 3)])));
         }
     }
-    [positions.collect(), opacities.collect(), colors.collect(), scales.collect(), quats, sh]
 }
 
 /// Encodes the coefficient of a harmonic, -1 to 1, as a byte, rounded to the nearest of `2^bits` levels.

@@ -106,6 +106,42 @@ fn round_trips_are_exact_to_the_formats_rounding() {
 }
 
 #[test]
+fn parts_give_the_file_of_the_whole() {
+    let folder = tempfile::tempdir().unwrap();
+    let [whole, parts] = ["whole.spz", "parts.spz"].map(|name| folder.path().join(name));
+    let few = splats(2);
+    let mut sent = Splats::with_capacity(9000, 2);
+    (0..9000).for_each(|i| sent.push_from(&few, i % 50));
+    let handed_over = std::cell::Cell::new(0);
+    let source = |visit: &mut dyn FnMut(&Splats)| {
+        for first in (0..9000).step_by(700) {
+            let mut part = Splats::with_capacity(700, 2);
+            (first..9000.min(first + 700)).for_each(|i| part.push_from(&sent, i));
+            handed_over.set(handed_over.get() + part.len());
+            visit(&part);
+        }
+        Ok(())
+    };
+    for version in [Version::V2, Version::V3, Version::V4] {
+        write(&whole, &sent, version).unwrap();
+        write_with(&parts, 2, version, &source).unwrap();
+        assert!(fs::read(&whole).unwrap() == fs::read(&parts).unwrap(), "{version:?}");
+        assert_eq!(handed_over.replace(0), 7 * 9000);
+    }
+    // After the first reading, splats are missing.
+    let grown = |visit: &mut dyn FnMut(&Splats)| {
+        if handed_over.get() == 0 {
+            visit(&sent);
+        }
+        source(visit)
+    };
+    let before = fs::read(&parts).unwrap();
+    let error = write_with(&parts, 2, Version::V3, &grown).unwrap_err().to_string();
+    assert!(error.ends_with("the model changed while it was read; try again"), "{error}");
+    assert!(fs::read(&parts).unwrap() == before);
+}
+
+#[test]
 fn far_coordinates_get_fewer_bits_and_farther_ones_are_refused() {
     let folder = tempfile::tempdir().unwrap();
     let path = folder.path().join("a.spz");
