@@ -13,6 +13,7 @@ use std::time::Instant;
 use anyhow::{Context, Result};
 use clap::{Args, Parser, Subcommand};
 use cosurf_aggregator::georeference::write_georeference;
+use cosurf_aggregator::mission::MissionError;
 use cosurf_aggregator::service::{Command, Host, SideEvent, expected_devices, serve};
 use cosurf_aggregator::station::PAGE_BYTES;
 use cosurf_cli::{VERSION, shell};
@@ -117,6 +118,9 @@ struct RunArgs {
     json: bool,
 }
 
+/// Exit code of a program that a signal has ended, as shells report it for Ctrl-C.
+const ENDED_BY_SIGNAL: u8 = 130;
+
 fn main() -> ExitCode {
     cosurf_engine::budget::return_freed_memory();
     match run_command(Cli::parse()) {
@@ -124,7 +128,8 @@ fn main() -> ExitCode {
         Err(error) if has_closed_pipe(&error) => ExitCode::SUCCESS,
         Err(error) => {
             eprintln!("cosurf-aggregator: {error:#}");
-            ExitCode::FAILURE
+            let is_stopped = matches!(error.downcast_ref(), Some(MissionError::Interrupted));
+            if is_stopped { ExitCode::from(ENDED_BY_SIGNAL) } else { ExitCode::FAILURE }
         }
     }
 }

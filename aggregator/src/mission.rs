@@ -83,11 +83,17 @@ pub fn fly(order: &MissionOrder, around: &Surroundings) -> Result<Flown, Mission
     let mut dataset = Dataset::open(&order.settings.data)?;
     let georeference = common_georeference(std::slice::from_ref(&order.settings.data))?;
     write_georeference(georeference.as_ref(), &order.out)?;
-    // Read before the agents start, so that a wrong folder is reported before the training.
     let frame = LocalFrame::of(dataset.cameras_of_views());
-    let yardsticks = Yardsticks::read(&order.settings.data, order.lpips.as_deref(), None, &frame)?;
+    // What the process holds throughout the mission is not for merges, meshes and pictures.
+    let held_bytes = Yardsticks::memory_bytes(&order.settings.data);
+    check_memory(&dataset, &order.settings, held_bytes)?;
     let plan = make_plan(&dataset, &order.settings, &order.out, around, "")?;
-    check_memory(&dataset, &order.settings)?;
+    let asked = order;
+    let mut order = asked.clone();
+    order.settings.merge.memory_bytes -= held_bytes;
+    let order = &order;
+    // Read before the agents start, so that a wrong folder is reported before the training.
+    let yardsticks = Yardsticks::read(&order.settings.data, order.lpips.as_deref(), None, &frame)?;
     phases.end("preparing");
     let (earlier, last) = rounds(order);
     for (i, round) in earlier.iter().enumerate() {
@@ -104,7 +110,7 @@ pub fn fly(order: &MissionOrder, around: &Surroundings) -> Result<Flown, Mission
     let (evaluation, scores_failure) = or_too_little_memory(scored)?;
     let evaluation = evaluation.unwrap_or_default();
     let seconds = ((around.now)() - begun).as_secs_f64();
-    let mut report = summarize(&plan, &order.settings, &board, &global, &evaluation.qualities);
+    let mut report = summarize(&plan, &asked.settings, &board, &global, &evaluation.qualities);
     report.whole.seconds = seconds;
     (report.whole.mesh, report.whole.mesh_failure) = summary_of(relief);
     let (joined, failure) = or_too_little_memory(judge_joined(order, around, &scene, &plan))?;
@@ -188,13 +194,14 @@ fn survey(
     deliver(&survey, around.display, || (around.now)())
 }
 
-/// Fails before the training if no merge of the agents' models will be possible within the memory for merges.
-fn check_memory(dataset: &Dataset, settings: &Settings) -> Result<(), MissionError> {
+/// Fails before the training if no merge of the agents' models will be possible within the memory for merges, of which
+/// `held_bytes` are taken.
+fn check_memory(dataset: &Dataset, settings: &Settings, held_bytes: u64) -> Result<(), MissionError> {
     let shrunk = |view: &View| {
         let long_side_px = view.camera.size_px[0].max(view.camera.size_px[1]);
         view.camera.fitted(long_side_px.min(settings.max_size_px.unwrap_or(u32::MAX)))
     };
-    let needed_bytes = least_bytes(dataset.views.iter().map(shrunk));
+    let needed_bytes = held_bytes + least_bytes(dataset.views.iter().map(shrunk));
     match settings.merge.memory_bytes < needed_bytes {
         true => Err(MissionError::LittleMergeMemory { needed_bytes }),
         false => Ok(()),

@@ -21,8 +21,10 @@ use crate::partition::DEFAULT_MARGIN;
 
 /// Largest limit on clients, devices and uploads that a configuration may give.
 const LIMIT_MAX: usize = 16_384;
-/// The least memory for uploads, and for merges, bytes. Less can only be a mistake.
+/// The least memory for uploads, bytes. Less can only be a mistake.
 const MEMORY_BYTES_LEAST: u64 = 1 << 20;
+/// The least memory for merges, bytes: what two small models of small pictures take.
+const MERGE_BYTES_LEAST: u64 = 32 << 20;
 
 /// The content of `aggregator.toml`. Relative paths are relative to the working folder.
 #[derive(Clone, Debug, PartialEq, Deserialize)]
@@ -34,6 +36,7 @@ pub struct AggregatorConfig {
     #[serde(default = "default_device")]
     pub device: DeviceId,
     /// The folder of the service; see [`crate::service`] for its content.
+    #[serde(deserialize_with = "cosurf_contract::config::folder")]
     pub out: PathBuf,
     /// Address on which the built-in broker listens, for example `127.0.0.1:1883`; absent where `broker` is used. An
     /// address that other computers reach needs `users`, `tls` with `ca`, or `open`.
@@ -99,7 +102,7 @@ pub struct AggregatorConfig {
         rename = "merge_memory",
         alias = "merge_memory_bytes",
         default = "default_merge_memory_bytes",
-        deserialize_with = "service_memory"
+        deserialize_with = "merge_memory"
     )]
     pub merge_memory_bytes: u64,
     /// The device that computes merges: `auto`, `cpu`, `gpu` or `gpu:N`.
@@ -110,7 +113,7 @@ pub struct AggregatorConfig {
     #[serde(default = "default_refine")]
     pub refine: bool,
     /// Number of devices that must have sent a model before a merge begins. The deadline overrides this number.
-    #[serde(default = "default_quorum")]
+    #[serde(default = "default_quorum", deserialize_with = "limit")]
     pub quorum: usize,
     /// Seconds without a new model after which a merge begins.
     #[serde(default = "default_quiet_s")]
@@ -268,12 +271,21 @@ fn limit<'de, D: Deserializer<'de>>(deserializer: D) -> Result<usize, D::Error> 
     Err(D::Error::custom(format!("give a number from 1 to {LIMIT_MAX}; {remedy}")))
 }
 
-/// Reads the limit on the memory of uploads or of a merge.
+/// Reads the limit on the memory of uploads.
 fn service_memory<'de, D: Deserializer<'de>>(deserializer: D) -> Result<u64, D::Error> {
+    at_least(deserializer, MEMORY_BYTES_LEAST)
+}
+
+/// Reads the limit on the memory of a merge.
+fn merge_memory<'de, D: Deserializer<'de>>(deserializer: D) -> Result<u64, D::Error> {
+    at_least(deserializer, MERGE_BYTES_LEAST)
+}
+
+fn at_least<'de, D: Deserializer<'de>>(deserializer: D, least: u64) -> Result<u64, D::Error> {
     let bytes = amount(deserializer)?;
-    match bytes >= MEMORY_BYTES_LEAST {
+    match bytes >= least {
         true => Ok(bytes),
-        false => Err(D::Error::custom(format!("give at least {}", format_bytes(MEMORY_BYTES_LEAST)))),
+        false => Err(D::Error::custom(format!("give at least {}", format_bytes(least)))),
     }
 }
 
@@ -361,7 +373,8 @@ mod tests {
             ("tls = { cart = \"c\" }", "line 3, tls: unknown field `cart`"),
             ("broker_memory_bytes = 1_000_000", "line 3, broker_memory_bytes: give at least 16.0 MiB"),
             ("broker_memory = \"1MB\"", "line 3, broker_memory: give at least 16.0 MiB"),
-            ("merge_memory = 0", "line 3, merge_memory: give at least 1.00 MiB"),
+            ("merge_memory = \"1MiB\"", "line 3, merge_memory: give at least 32.0 MiB"),
+            ("quorum = 0", "line 3, quorum: give a number from 1 to 16384"),
             ("memory = \"1kB\"", "line 3, memory: give at least 1.00 MiB"),
             ("merge_memory = \"all\"", "line 3, merge_memory: 'all' is not an amount of memory"),
             ("compute = \"cuda\"", "line 3, compute: give auto, cpu, gpu or gpu:N"),

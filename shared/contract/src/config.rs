@@ -18,6 +18,7 @@ use crate::Share;
 
 pub use amount::amount;
 pub use error::ConfigError;
+pub use range::folder;
 
 /// Limit on the agents whose flights count, unless the configuration sets another.
 pub const DEFAULT_FLIGHTS_MAX: usize = 256;
@@ -60,10 +61,10 @@ pub struct AgentConfig {
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub baud: Option<NonZeroU32>,
     /// The dataset's folder; `data` if absent.
-    #[serde(default = "default_data")]
+    #[serde(default = "default_data", deserialize_with = "folder")]
     pub data: PathBuf,
     /// The folder to which the agent writes model, checkpoints, report and the received global model; `out` if absent.
-    #[serde(default = "default_out")]
+    #[serde(default = "default_out", deserialize_with = "folder")]
     pub out: PathBuf,
     /// Names of the views to train on. If `views` and `held_out` are both empty, the agent's cell of the site's plan tells
     /// the views, or all views count if there is no cell. Then `eval_every` tells which of them are held out.

@@ -46,6 +46,14 @@ pub enum SceneError {
         /// The program and the number of the process, in words.
         holder: String,
     },
+    /// The folder has the results of a program of another kind, which would be lost.
+    #[error("{}: holds what {program} wrote; name another folder", folder.display())]
+    OfAnother {
+        /// The folder.
+        folder: PathBuf,
+        /// The program.
+        program: &'static str,
+    },
     /// Too little can be written to the disk.
     #[error("{}: this disk has {} free, at least {} are needed; free some, or name a folder on another disk", folder.display(), format_bytes(*free_bytes), format_bytes(*needed_bytes))]
     DiskFull {

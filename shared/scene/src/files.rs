@@ -82,7 +82,10 @@ pub fn is_damage(error: &SceneError) -> bool {
                     | io::ErrorKind::IsADirectory
             )
         }
-        SceneError::OverBudget { .. } | SceneError::InUse { .. } | SceneError::DiskFull { .. } => false,
+        SceneError::OverBudget { .. }
+        | SceneError::InUse { .. }
+        | SceneError::OfAnother { .. }
+        | SceneError::DiskFull { .. } => false,
     }
 }
 

@@ -10,6 +10,19 @@ use crate::{SceneError, atomic, files};
 const NAME: &str = "lock";
 /// Length of the name of a holder, up to which it is read, bytes.
 const HOLDER_BYTES_MAX: u64 = 200;
+/// Programs whose files in a folder have the same names, and other contents: none may replace those of another. Those that
+/// train may.
+const KINDS: [(&[&str], &str); 4] = [
+    (
+        &["cosurf-agent train", "cosurf-agent run", "cosurf-agent preflight", "cosurf-agent doctor"],
+        "a training",
+    ),
+    (&["cosurf-aggregator merge"], "cosurf-aggregator merge"),
+    (&["cosurf-aggregator mission"], "cosurf-aggregator mission"),
+    (&["cosurf-aggregator run", "cosurf-aggregator doctor"], "cosurf-aggregator run"),
+];
+/// Files by which a folder has results.
+const RESULTS: [&str; 5] = ["cameras.json", "global.ply", "merged.json", "model.ply", "report.json"];
 
 /// The right to write to a folder. It ends when this value is dropped, or when the process ends in any way.
 #[derive(Debug)]
@@ -26,8 +39,8 @@ impl Drop for FolderLock {
 
 impl FolderLock {
     /// Creates the folder and takes the lock. Others who want it are told `program` and the number of this process. Fails
-    /// with [`SceneError::InUse`] if somebody else has it, and with another error if this program may not create files in the
-    /// folder. Where the file system cannot lock files, nobody is kept out. Deletes unfinished files of killed programs.
+    /// with [`SceneError::InUse`] if somebody else has it, with [`SceneError::OfAnother`] if a program of another kind has
+    /// left its results there, and with another error if this program may not create files in the folder. Where the file system cannot lock files, nobody is kept out. Deletes unfinished files of killed programs.
     pub fn take(folder: &Path, program: &str) -> Result<Self, SceneError> {
         files::create_folder(folder)?;
         let path = folder.join(NAME);
@@ -44,6 +57,12 @@ impl FolderLock {
             Err(TryLockError::Error(cause)) if cause.kind() == ErrorKind::Unsupported => {}
             Err(TryLockError::Error(cause)) => return Err(failed(cause)),
         }
+        if let (Some(earlier), Some(now)) = (kind(&holder(&file)), kind(program))
+            && earlier != now
+            && RESULTS.iter().any(|name| folder.join(name).exists())
+        {
+            return Err(SceneError::OfAnother { folder: folder.to_owned(), program: earlier });
+        }
         // The name only serves others; the lock holds without it, on a full disk too.
         let _ = file.set_len(0);
         let _ = write!(file, "{program}, process {}", std::process::id());
@@ -53,7 +72,13 @@ impl FolderLock {
     }
 }
 
-/// Who holds the lock on a file.
+/// The kind of the program that a holder's name begins with; `None` if it is none of [`KINDS`].
+fn kind(holder: &str) -> Option<&'static str> {
+    let program = holder.split(',').next().unwrap_or(holder);
+    KINDS.iter().find(|(programs, _)| programs.contains(&program)).map(|(_, kind)| *kind)
+}
+
+/// Who holds the lock on a file, or has held it last.
 fn holder(file: &File) -> String {
     let mut text = String::new();
     let is_read = Read::take(file, HOLDER_BYTES_MAX).read_to_string(&mut text).is_ok();
@@ -80,6 +105,23 @@ mod tests {
         fs::write(out.join(".model.ply.77-0.partial"), "part of a file").unwrap();
         FolderLock::take(&out, "cosurf-agent train").unwrap();
         assert_eq!(fs::read_dir(&out).unwrap().count(), 1, "only the lock");
+    }
+
+    #[test]
+    fn results_of_a_program_of_another_kind_stay() {
+        let folder = tempfile::tempdir().unwrap();
+        let take = |program: &str| FolderLock::take(folder.path(), program).map(drop);
+        take("cosurf-aggregator mission").unwrap();
+        take("cosurf-agent train").unwrap(); // the mission has left nothing
+        fs::write(folder.path().join("model.ply"), "ply").unwrap();
+        for _ in 0..2 {
+            let error = take("cosurf-aggregator mission").unwrap_err().to_string();
+            assert!(error.ends_with("holds what a training wrote; name another folder"), "{error}");
+        }
+        for program in ["cosurf-agent run", "cosurf-agent preflight", "another", "cosurf-aggregator run"] {
+            take(program).unwrap(); // after an unknown one, nobody knows whose results these are
+        }
+        assert!(take("cosurf-aggregator merge").is_err());
     }
 
     #[test]

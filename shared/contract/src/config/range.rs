@@ -1,7 +1,8 @@
-//! Reads numbers that must lie in a range, so that a number out of range is an error at its line.
+//! Reads numbers that must lie in a range, and folders that must have a name, so that others are errors at their lines.
 
 use std::fmt::Display;
 use std::ops::RangeInclusive;
+use std::path::PathBuf;
 
 use serde::de::{Deserialize, Deserializer, Error};
 
@@ -19,6 +20,12 @@ pub(super) fn threads<'de, D: Deserializer<'de>>(deserializer: D) -> Result<Opti
 
 pub(super) fn flights_max<'de, D: Deserializer<'de>>(deserializer: D) -> Result<usize, D::Error> {
     in_range(deserializer, 1..=16_384)
+}
+
+/// Reads the name of a folder.
+pub fn folder<'de, D: Deserializer<'de>>(deserializer: D) -> Result<PathBuf, D::Error> {
+    let path = PathBuf::deserialize(deserializer)?;
+    if path.as_os_str().is_empty() { Err(D::Error::custom("name a folder")) } else { Ok(path) }
 }
 
 fn in_range<'de, D, T>(deserializer: D, range: RangeInclusive<T>) -> Result<T, D::Error>

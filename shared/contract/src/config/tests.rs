@@ -134,6 +134,8 @@ fn an_error_names_line_and_field_and_shows_the_line() {
         ("[tls]\nca = \"ca.pem\"\ncert = 7", "line 9, tls.cert: "),
         ("[tls]\ncert = \"c.pem\"", "line 7, tls: missing field `ca`"),
         ("tls = { cert = \"c\" }", "line 7, tls: missing field `ca`"),
+        ("data = \"\"", "line 4, data: name a folder"),
+        ("out = \"\"", "line 5, out: name a folder"),
         ("stesp = 7", "line 7, stesp: unknown field `stesp`"),
         ("steps 7", "line 6, steps: "),
     ] {
