@@ -5,6 +5,8 @@
 //!
 //! What it knows nothing about: splats and files.
 
+#![cfg_attr(not(test), warn(clippy::disallowed_methods))]
+
 use cosurf_scene::{Camera, SparsePoint, evenly_spaced};
 use glam::DVec2;
 
@@ -37,7 +39,7 @@ pub(crate) fn points(cameras: &[Camera], seed: u64) -> Vec<SparsePoint> {
         let camera = &cameras[random.usize(..cameras.len())];
         let size_px = DVec2::from(camera.size_px.map(f64::from));
         let at_px = DVec2::new(random.f64(), random.f64()) * size_px;
-        let depth = nearest * DEPTHS[0] * (DEPTHS[1] / DEPTHS[0]).powf(random.f64());
+        let depth = nearest * DEPTHS[0] * libm::pow(DEPTHS[1] / DEPTHS[0], random.f64());
         let position = camera.unproject(at_px, depth);
         let seen_by = cameras.iter().filter(|camera| camera.sees(position)).take(seen_by_min).count();
         (seen_by == seen_by_min).then_some(SparsePoint { position, rgb: [128; 3], views: Vec::new() })

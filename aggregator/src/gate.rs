@@ -25,6 +25,8 @@
 //! Where to start reading: [`admit`]; then [`judge`](judge::judge) and [`glimpse`], which compares two models; then
 //! [`frames`], [`links`] and [`adjust`], which move models to where they fit; [`part`] for uploads that broke off.
 
+#![cfg_attr(not(test), warn(clippy::disallowed_methods))]
+
 mod adjust;
 mod chosen;
 mod claims;

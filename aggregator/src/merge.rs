@@ -17,6 +17,8 @@
 //! tiles that other computers distil; [`expected`] for what is believed of a result; [`observed`], [`pages`] and [`splat_file`] for what is kept in files, so that the
 //! memory does not grow with the site; [`memory`] for what fits; [`fill_in()`] for models that have arrived only in part.
 
+#![cfg_attr(not(test), warn(clippy::disallowed_methods))]
+
 mod book;
 mod by_workers;
 pub(crate) mod cameras;

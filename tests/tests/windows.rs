@@ -1,4 +1,5 @@
-//! The programs for Windows under Wine: a mission and a service with their pages, limits on memory, locks of folders, and Ctrl-C.
+//! The programs for Windows under Wine: a mission and a service with their pages, limits on memory, locks of folders, Ctrl-C, and
+//! the same bytes as those of the programs for this system.
 #![cfg(target_os = "linux")]
 #![allow(clippy::unwrap_used)]
 
@@ -6,11 +7,12 @@ use std::collections::BTreeMap;
 use std::fs;
 use std::io::{Read, Write};
 use std::net::{TcpListener, TcpStream};
-use std::process::{Child, ExitStatus, Stdio};
+use std::process::{Child, Command, ExitStatus, Stdio};
 use std::thread::sleep;
 use std::time::{Duration, Instant};
 
 use cosurf_scene::bytes::parse_bytes;
+use cosurf_tests::programs::program;
 use cosurf_tests::usage::peak_bytes;
 use cosurf_tests::wine::Wine;
 use serde_json::Value;
@@ -33,6 +35,7 @@ fn programs_for_windows_work() {
     assert!(wine.run(AGENT, &["doctor"]).status.success());
     little_memory_is_refused(&wine);
     a_mission_flies_and_shows_its_page(&wine);
+    the_same_mission_on_this_system_has_the_same_bytes(&wine);
     agents_end_with_a_mission_that_is_killed(&wine);
     ctrl_c_ends_a_training_with_a_checkpoint(&wine);
     a_service_shows_the_model_of_an_agent_and_ends_with_ctrl_c(&wine);
@@ -88,6 +91,17 @@ fn a_mission_flies_and_shows_its_page(wine: &Wine) {
     // Over the files that are there.
     let again = wine.run(AGGREGATOR, &[&MISSION[..], &["--out", "out"]].concat());
     assert!(again.status.success(), "a mission that has ended cannot be repeated");
+}
+
+/// Of both agents' models, and of the model that was merged from what they sent.
+fn the_same_mission_on_this_system_has_the_same_bytes(wine: &Wine) {
+    let mut mission = Command::new(program(AGGREGATOR));
+    let mission = mission.args(MISSION).args(["--out", "here"]).current_dir(wine.folder()).output().unwrap();
+    assert!(mission.status.success(), "{}", String::from_utf8_lossy(&mission.stderr));
+    for file in ["agents/agent-1/model.ply", "agents/agent-2/model.ply", "global.ply"] {
+        let [there, here] = ["out", "here"].map(|out| fs::read(wine.folder().join(out).join(file)).unwrap());
+        assert!(there == here, "{file}: {} bytes there, {} here", there.len(), here.len());
+    }
 }
 
 fn agents_end_with_a_mission_that_is_killed(wine: &Wine) {

@@ -280,7 +280,7 @@ fn columns(point: DVec3, center: Center) -> [DVec3; UNKNOWNS] {
 fn moved(by: &Similarity, step: &[f64], center: Center) -> Similarity {
     let translation = DVec3::new(step[0], step[1], step[2]);
     let turn = DQuat::from_scaled_axis(DVec3::new(step[3], step[4], step[5]) / center.radius);
-    let scale = (step[6] / center.radius).clamp(-0.5, 0.5).exp();
+    let scale = libm::exp((step[6] / center.radius).clamp(-0.5, 0.5));
     Similarity {
         scale: scale * by.scale,
         rotation: (turn * by.rotation).normalize(),

@@ -25,8 +25,9 @@ impl<'a> Claims<'a> {
     /// Number of pixels that the model claims to have on a square of one world unit at each of `places`; their geometric
     /// mean. `None` if no camera sees any of them.
     pub(super) fn pixels(&self, places: &[DVec3]) -> Option<f64> {
-        let logs: Vec<f64> = places.iter().filter_map(|place| self.pixels_at(*place)).map(f64::ln).collect();
-        (!logs.is_empty()).then(|| (logs.iter().sum::<f64>() / logs.len() as f64).exp())
+        let logs: Vec<f64> =
+            places.iter().filter_map(|place| self.pixels_at(*place)).map(libm::log).collect();
+        (!logs.is_empty()).then(|| libm::exp(logs.iter().sum::<f64>() / logs.len() as f64))
     }
 
     /// The mean of all cameras that see the place, in which each counts as much as its observation is worth, by its claim:

@@ -97,7 +97,7 @@ fn in_picture(sight: &Sight) -> Vec<Feature> {
 /// The descriptor of the place around a pixel, a unit vector. `None` if the picture is uniform there.
 fn describe(sight: &Sight, x: usize, y: usize) -> Option<[f32; LENGTH]> {
     let main = main_direction(sight, x, y);
-    let (sin, cos) = main.sin_cos();
+    let (sin, cos) = libm::sincosf(main);
     let reach = REACH_PX as isize;
     let mut numbers = [0.0f32; LENGTH];
     for dy in -reach..=reach {
@@ -106,7 +106,7 @@ fn describe(sight: &Sight, x: usize, y: usize) -> Option<[f32; LENGTH]> {
             let (u, v) = (dx as f32, dy as f32);
             let [px, py] = [cos * u - sin * v, sin * u + cos * v].map(|offset| offset.round() as isize);
             let (strength, direction) = gradient(sight, x.wrapping_add_signed(px), y.wrapping_add_signed(py));
-            let weight = strength * (-(u * u + v * v) / (2.0 * (REACH_PX * REACH_PX) as f32 * 0.5)).exp();
+            let weight = strength * libm::expf(-(u * u + v * v) / (2.0 * (REACH_PX * REACH_PX) as f32 * 0.5));
             let cell = |offset: f32| {
                 (offset + REACH_PX as f32 + 0.5) / (2 * REACH_PX + 1) as f32 * CELLS as f32 - 0.5
             };
@@ -156,7 +156,7 @@ fn main_direction(sight: &Sight, x: usize, y: usize) -> f32 {
                 continue;
             }
             let (strength, direction) = gradient(sight, x.wrapping_add_signed(dx), y.wrapping_add_signed(dy));
-            let weight = strength * (-distance2 / (2.0 * (REACH_PX * REACH_PX) as f32 * 0.25)).exp();
+            let weight = strength * libm::expf(-distance2 / (2.0 * (REACH_PX * REACH_PX) as f32 * 0.25));
             let turn = direction.rem_euclid(TAU) / TAU * TURNS as f32;
             sums[turn as usize % TURNS] += weight;
         }
@@ -172,5 +172,5 @@ fn main_direction(sight: &Sight, x: usize, y: usize) -> f32 {
 /// Strength and direction (radians) of the gradient of the grey values at a pixel.
 fn gradient(sight: &Sight, x: usize, y: usize) -> (f32, f32) {
     let [dx, dy] = sight.gradient(x, y);
-    (dx.hypot(dy), dy.atan2(dx))
+    (libm::hypotf(dx, dy), libm::atan2f(dy, dx))
 }

@@ -318,7 +318,8 @@ fn lay_group(
     let stays_on = |anchor: &Frame| -> Vec<usize> {
         let back = anchor.by.inverse();
         let stays = |(i, frame): &&(usize, Frame)| {
-            let limit_px = STAY_PX.max(STAY_DEVIATIONS * frame.deviation_px.hypot(anchor.deviation_px));
+            let limit_px =
+                STAY_PX.max(STAY_DEVIATIONS * libm::hypot(frame.deviation_px, anchor.deviation_px));
             difference_px(links, *i, &back.after(&frame.by), &Similarity::IDENTITY) <= limit_px
         };
         group.iter().filter(stays).map(|(i, _)| *i).collect()

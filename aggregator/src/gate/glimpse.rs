@@ -139,7 +139,7 @@ impl Glimpse {
         let nearby = (-REACH_PX..=REACH_PX).flat_map(|dy| (-REACH_PX..=REACH_PX).map(move |dx| [dx, dy]));
         let found = nearby.filter_map(|by| Some((self.correlation(other, shared, by)?, by)));
         let (best, [dx, dy]) = found.max_by(|a, b| a.0.total_cmp(&b.0))?;
-        let off_px = (dx as f64).hypot(dy as f64);
+        let off_px = libm::hypot(dx as f64, dy as f64);
         let is_moved = off_px > OFF_PX && best > FOUND_MIN && best > in_place + BETTER_MIN;
         Some(is_deep && !is_moved && in_place >= ALIKE_MIN && self.is_as_bright(other, shared))
     }
@@ -163,7 +163,7 @@ impl Glimpse {
     ) -> impl Iterator<Item = ([usize; 2], [[f32; 3]; 2])> {
         let is_same = move |i: &usize| {
             let is_opaque = self.alpha[*i].min(other.alpha[*i]) > OPAQUE_MIN;
-            is_opaque && f64::from(self.depth[*i] / other.depth[*i]).ln().abs() <= DEPTH_MAX
+            is_opaque && libm::log(f64::from(self.depth[*i] / other.depth[*i])).abs() <= DEPTH_MAX
         };
         let color = |of: &Self, i: usize| [0, 1, 2].map(|channel| of.rgb[3 * i + channel]);
         let width = self.camera.size_px[0] as usize;
@@ -174,7 +174,7 @@ impl Glimpse {
     /// Whether the depths of both pictures agree where both show a surface; `None` if these pixels are too few.
     fn is_as_deep(&self, other: &Self, shared: &[usize]) -> Option<bool> {
         let both = shared.iter().filter(|&&i| other.depth[i] > 0.0);
-        let ratios: Vec<f64> = both.map(|&i| f64::from(self.depth[i] / other.depth[i]).ln()).collect();
+        let ratios: Vec<f64> = both.map(|&i| libm::log(f64::from(self.depth[i] / other.depth[i]))).collect();
         if ratios.len() < SHARED_PX_MIN {
             return None;
         }

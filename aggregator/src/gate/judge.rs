@@ -191,7 +191,7 @@ impl View {
                 compared.difference = own.difference(detail, dense, glimpse.size_px());
             }
             compared.told = self.claimed(shared, claims).and_then(|claimed| {
-                let log_ratio = Fine::of(renderer, camera).log_ratio(fine)? + 2.0 * contrast.ln();
+                let log_ratio = Fine::of(renderer, camera).log_ratio(fine)? + 2.0 * libm::log(contrast);
                 Some(Told { log_ratio, claimed })
             });
         }

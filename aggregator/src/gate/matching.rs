@@ -171,7 +171,7 @@ impl Sight {
             }
         }
         let half = 0.5 * (xx - yy);
-        (0.5 * (xx + yy) - half.hypot(xy)) / AREA
+        (0.5 * (xx + yy) - libm::hypotf(half, xy)) / AREA
     }
 
     fn patch(&self, x: usize, y: usize) -> Patch {

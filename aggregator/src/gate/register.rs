@@ -55,7 +55,7 @@ fn matched(one: &[Feature], other: &[Feature]) -> Vec<Pair> {
         let is_elsewhere =
             |i: &usize| one[*i].at.distance(one[best].at) > SAME_PX * one[best].pixel_m.max(one[*i].pixel_m);
         let second = (0..one.len()).filter(is_elsewhere).map(|i| likeness[i]).fold(-1.0, f32::max);
-        let angle = |likeness: f32| likeness.clamp(-1.0, 1.0).acos();
+        let angle = |likeness: f32| libm::acosf(likeness.clamp(-1.0, 1.0));
         let is_clear = likeness[best] >= LIKENESS_MIN && angle(likeness[best]) <= RATIO_MAX * angle(second);
         is_clear.then(|| Pair {
             trusted: one[best].at,

@@ -62,7 +62,7 @@ impl Fine {
         let [width, height] = WINDOW_PX.map(|side| side as usize);
         let is_same = |i: usize| {
             let [a, b] = [self.depth[i], other.depth[i]];
-            a > 0.0 && b > 0.0 && (a / b).ln().abs() <= DEPTH_MAX
+            a > 0.0 && b > 0.0 && libm::logf(a / b).abs() <= DEPTH_MAX
         };
         let (mut squares, mut energies) = (0, [0.0; 2]);
         for y in (0..height).step_by(2) {
@@ -81,7 +81,7 @@ impl Fine {
             }
         }
         (squares >= SQUARES_MIN && energies.iter().all(|energy| *energy > 0.0))
-            .then(|| (energies[0] / energies[1]).ln())
+            .then(|| libm::log(energies[0] / energies[1]))
     }
 }
 
@@ -130,7 +130,7 @@ struct Compared {
 impl Sharpness {
     /// Notes what a picture tells of the model `one` beside the model `other`.
     pub(super) fn note(&mut self, one: usize, other: usize, Told { log_ratio, claimed }: Told) {
-        let excess = (claimed[0] / claimed[1]).ln() - 2.0 * log_ratio;
+        let excess = libm::log(claimed[0] / claimed[1]) - 2.0 * log_ratio;
         self.0.push(Compared { models: [one, other], excess, claimed });
     }
 
@@ -156,13 +156,13 @@ impl Sharpness {
                 (0..count).filter(|j| groups[*j] == groups[i] && *j != i).map(|j| excess[j]).collect();
             let usual = if others.is_empty() { excess[i] } else { median(&mut others) };
             let above = excess[i] - usual;
-            let size = if above > FAIR_TIMES.ln() { (-0.5 * above).exp() } else { 1.0 };
+            let size = if above > libm::log(FAIR_TIMES) { libm::exp(-0.5 * above) } else { 1.0 };
             // In each picture: what the model claims there, as far as the picture shows it.
             let checked = compared().filter_map(|its| {
                 let side = its.models.iter().position(|model| *model == i)?;
                 let other = excess[its.models[1 - side]];
                 let above = if side == 0 { its.excess + other } else { other - its.excess } - usual;
-                Some(its.claimed[side] * (size * size).min((-above).exp()))
+                Some(its.claimed[side] * (size * size).min(libm::exp(-above)))
             });
             let pixels_max = checked.fold(0.0, f64::max) * FAIR_TIMES;
             Granted { size, pixels_max: if pixels_max > 0.0 { pixels_max } else { f64::INFINITY } }

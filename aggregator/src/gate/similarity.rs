@@ -79,7 +79,7 @@ impl Similarity {
 
     fn splats(&self, splats: &Splats) -> Splats {
         let turns = [1, 2, 3].map(|degree| Turn::new(degree, self.rotation));
-        let log_scale = self.scale.ln() as f32;
+        let log_scale = libm::log(self.scale) as f32;
         let mut moved = splats.clone();
         for i in 0..moved.len() {
             let mean = DVec3::from_array(moved.means[i].map(f64::from));
@@ -140,9 +140,9 @@ fn strongest_axis(mut a: [[f64; 4]; 4]) -> [f64; 4] {
                     continue;
                 }
                 let theta = (a[q][q] - a[p][p]) / (2.0 * a[p][q]);
-                let t = theta.signum() / (theta.abs() + theta.hypot(1.0));
+                let t = theta.signum() / (theta.abs() + libm::hypot(theta, 1.0));
                 let t = if theta == 0.0 { 1.0 } else { t };
-                let c = 1.0 / t.hypot(1.0);
+                let c = 1.0 / libm::hypot(t, 1.0);
                 let s = t * c;
                 for k in 0..4 {
                     (a[k][p], a[k][q]) = (c * a[k][p] - s * a[k][q], s * a[k][p] + c * a[k][q]);
@@ -194,7 +194,7 @@ impl Turn {
 fn direction(i: usize, count: usize) -> DVec3 {
     let golden = std::f64::consts::PI * (3.0 - 5f64.sqrt());
     let z = (i as f64 + 0.5) / count as f64;
-    let (sin, cos) = (golden * i as f64).sin_cos();
+    let (sin, cos) = libm::sincos(golden * i as f64);
     let r = (1.0 - z * z).sqrt();
     DVec3::new(r * cos, r * sin, z)
 }

@@ -83,7 +83,7 @@ pub(super) fn contrast(colors: &[[[f32; 3]; 2]]) -> f64 {
     };
     let [first, second] = [0, 1].map(|model| product(model, model).sqrt());
     let is_told = first.min(second) > SPREAD_MIN
-        && (first / second).ln().abs() >= SPREADS_MIN
+        && libm::log(first / second).abs() >= SPREADS_MIN
         && product(0, 1) >= ALIKE_MIN * first * second;
     if is_told { first / second } else { 1.0 }
 }
@@ -125,7 +125,11 @@ impl Shared {
     /// Natural logarithm of the ratio of the spreads, second model to first; 0 if the colours vary too little.
     fn log_ratio(&self, channel: usize) -> f64 {
         let spreads = [0, 1].map(|model| self.spread(model, channel));
-        if spreads.iter().all(|spread| *spread >= SPREAD_MIN) { (spreads[1] / spreads[0]).ln() } else { 0.0 }
+        if spreads.iter().all(|spread| *spread >= SPREAD_MIN) {
+            libm::log(spreads[1] / spreads[0])
+        } else {
+            0.0
+        }
     }
 
     /// Mean square of the difference that is left if one model gets the mean and the spread of the other.
@@ -182,7 +186,7 @@ fn agree(pairs: &Pairs, count: usize) -> Vec<Tone> {
     for channel in 0..3 {
         let ratio = |_, shared: &Shared| shared.log_ratio(channel);
         for (tone, gain) in tones.iter_mut().zip(balance(pairs, count, ratio)) {
-            tone.gain[channel] = gain.exp();
+            tone.gain[channel] = libm::exp(gain);
         }
         // Two models are equally bright if the difference of their offsets makes up for the difference that the gains
         // leave between their means.

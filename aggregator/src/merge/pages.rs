@@ -72,7 +72,7 @@ impl Bounds {
 
 /// Radius of a splat, world units.
 pub(super) fn radius(log_scale: [f32; 3]) -> f64 {
-    REACH * f64::from(log_scale.into_iter().fold(f32::MIN, f32::max)).exp()
+    REACH * libm::exp(f64::from(log_scale.into_iter().fold(f32::MIN, f32::max)))
 }
 
 /// A mean as a world point.

@@ -36,7 +36,7 @@ pub(super) struct Tile {
 impl Map {
     /// A map without splats. Its cells are at most `side` wide, world units.
     pub(super) fn new(vertical: usize, side: f64) -> Self {
-        let cell_log2 = side.max(f64::MIN_POSITIVE).log2().floor() as i32;
+        let cell_log2 = libm::log2(side.max(f64::MIN_POSITIVE)).floor() as i32;
         Self { vertical, cell_log2, cells: BTreeMap::new() }
     }
 
@@ -49,13 +49,13 @@ impl Map {
 
     /// The cell of a splat.
     pub(super) fn cell(&self, mean: [f32; 3]) -> [i64; 2] {
-        let side = f64::from(self.cell_log2).exp2();
+        let side = libm::exp2(f64::from(self.cell_log2));
         horizontal(self.vertical, mean).map(|at| (f64::from(at) / side).floor() as i64)
     }
 
     /// The cells that a tile touches, as far as they have splats.
     pub(super) fn cells_of(&self, tile: &Tile) -> impl Iterator<Item = [i64; 2]> {
-        let side = f64::from(self.cell_log2).exp2();
+        let side = libm::exp2(f64::from(self.cell_log2));
         let touches = move |cell: &[i64; 2]| {
             (0..2).all(|axis| {
                 let at = cell[axis] as f64 * side;
@@ -72,11 +72,11 @@ impl Map {
         most: usize,
         means: impl Fn(&Tile) -> Result<Vec<[f32; 3]>, E>,
     ) -> Result<Vec<Tile>, E> {
-        let side = f64::from(self.cell_log2).exp2();
+        let side = libm::exp2(f64::from(self.cell_log2));
         let all: Vec<([i64; 2], usize)> = self.cells.iter().map(|(cell, count)| (*cell, *count)).collect();
         let reach = all.iter().flat_map(|(cell, _)| cell).map(|at| at.unsigned_abs() + 1).max().unwrap_or(1);
         let half = reach.next_power_of_two() as f64 * side;
-        let smallest = 2.0 * half * f64::from(-HALVINGS_MAX).exp2();
+        let smallest = 2.0 * half * libm::exp2(f64::from(-HALVINGS_MAX));
         let tile = |low: [f64; 2], sides: [f64; 2], splats: usize| {
             let high = [low[0] + sides[0], low[1] + sides[1]];
             Tile { vertical: self.vertical, low, high, splats }

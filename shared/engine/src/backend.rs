@@ -190,7 +190,7 @@ pub struct PhotometricLoss {
 impl PhotometricLoss {
     /// Peak signal-to-noise ratio, dB, at most 120.
     pub fn psnr(&self) -> f64 {
-        -10.0 * self.mse.max(1e-12).log10()
+        -10.0 * libm::log10(self.mse.max(1e-12))
     }
 }
 
@@ -245,7 +245,8 @@ pub struct AdamRates {
 impl AdamRates {
     /// Sets the bias corrections `1 / (1 - β^step)` for the `step`-th update, counted from 1.
     pub fn at_step(self, step: u32) -> Self {
-        let correction = |beta: f32| (1.0 / (1.0 - f64::from(beta).powf(f64::from(step.max(1))))) as f32;
+        let correction =
+            |beta: f32| (1.0 / (1.0 - libm::pow(f64::from(beta), f64::from(step.max(1))))) as f32;
         Self { first_correction: correction(BETA_1), second_correction: correction(BETA_2), ..self }
     }
 }

@@ -95,7 +95,7 @@ fn keep(base: &Base, importance: &[f32], count: f64) -> Base {
 
 /// Enlarges splats that were selected from `whole` splats, so that they cover the gaps.
 fn grow(splats: &mut Splats, whole: usize) {
-    let growth = GROWTH * (whole as f32 / splats.len() as f32).ln();
+    let growth = GROWTH * libm::logf(whole as f32 / splats.len() as f32);
     splats.log_scales.iter_mut().for_each(|log_scale| *log_scale = log_scale.map(|v| v + growth));
 }
 

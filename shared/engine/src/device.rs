@@ -7,7 +7,6 @@ use serde::{Deserialize, Serialize};
 
 #[cfg(feature = "gpu")]
 use crate::gpu::{Gpu, GpuChoice, GpuError};
-use crate::simd::Isa;
 
 /// The device that a user chose: `auto`, `cpu`, `gpu` or `gpu:N`.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize)]
@@ -99,11 +98,10 @@ impl Device {
         !matches!(self, Self::Cpu)
     }
 
-    /// Devices of the same class compute the same bits: processors with the same vector instructions, or equal graphics
-    /// cards with the same driver.
+    /// Devices of the same class compute the same bits: all processors, or equal graphics cards with the same driver.
     pub fn class(&self) -> String {
         match self {
-            Self::Cpu => format!("cpu {}", Isa::best().name()),
+            Self::Cpu => "cpu".into(),
             #[cfg(feature = "gpu")]
             Self::Gpu(gpu) => gpu.to_string(),
         }

@@ -32,7 +32,7 @@ pub struct DistillSettings {
 impl DistillSettings {
     /// No mean moves farther than this during the distillation, along any axis, world units.
     pub fn reach(&self) -> f64 {
-        let fall = MEAN_RATE_FALL.powf(1.0 / f64::from(self.steps.max(1)));
+        let fall = libm::pow(MEAN_RATE_FALL, 1.0 / f64::from(self.steps.max(1)));
         let sum_of_rates = self.rates.mean * self.extent * (1.0 - MEAN_RATE_FALL) / (1.0 - fall);
         STEP_MAX * sum_of_rates
     }
@@ -191,7 +191,7 @@ impl<B: Backend> Distiller<B> {
         let share = if self.steps_done + cooldown_steps >= steps { COOLED } else { 1.0 };
         let progress = f64::from(self.steps_done) / f64::from(steps.max(1));
         AdamRates {
-            mean: (rates.mean * MEAN_RATE_FALL.powf(progress) * extent) as f32,
+            mean: (rates.mean * libm::pow(MEAN_RATE_FALL, progress) * extent) as f32,
             quat: share * rates.quat,
             log_scale: share * rates.log_scale,
             opacity: share * rates.opacity,

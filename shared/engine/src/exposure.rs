@@ -48,7 +48,7 @@ impl Exposures {
     /// step exceeds [`SSIM_MIN`].
     pub(crate) fn of(&self, view: usize) -> Exposure {
         let View { values: [log_gain, offset], ssim, .. } = self.views[view];
-        if ssim > SSIM_MIN { Exposure { gain: log_gain.exp(), offset } } else { Exposure::default() }
+        if ssim > SSIM_MIN { Exposure { gain: libm::expf(log_gain), offset } } else { Exposure::default() }
     }
 
     /// Stores the SSIM of a view's step. Before that, trains the exposure of the view if `adapt` is true and the SSIM
@@ -85,8 +85,8 @@ impl View {
         for (i, gradient) in gradients.into_iter().enumerate() {
             let first = BETA_1 * f64::from(self.first[i]) + (1.0 - BETA_1) * gradient;
             let second = BETA_2 * f64::from(self.second[i]) + (1.0 - BETA_2) * gradient * gradient;
-            let mean = first / (1.0 - BETA_1.powf(steps));
-            let spread = (second / (1.0 - BETA_2.powf(steps))).sqrt();
+            let mean = first / (1.0 - libm::pow(BETA_1, steps));
+            let spread = (second / (1.0 - libm::pow(BETA_2, steps))).sqrt();
             (self.first[i], self.second[i]) = (first as f32, second as f32);
             self.values[i] -= (rate * mean / (spread + EPSILON)) as f32;
         }

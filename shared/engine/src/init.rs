@@ -47,7 +47,7 @@ pub fn splats_from_points(
     let positions: Vec<[f64; 3]> = chosen.iter().map(|point| point.position.to_array()).collect();
     let tree = Tree::new(&positions, 1);
     let mut sh = vec![0.0; 3 * sh_coefficients(sh_degree)];
-    let logit = (OPACITY / (1.0 - OPACITY)).ln();
+    let logit = libm::logf(OPACITY / (1.0 - OPACITY));
     for (point, position) in chosen.iter().zip(&positions) {
         for (value, byte) in sh.iter_mut().zip(point.rgb) {
             *value = (f32::from(byte) / 255.0 - 0.5) / SH_C0;
@@ -58,7 +58,7 @@ pub fn splats_from_points(
         let (quat, thickness) = normal.map_or((DQuat::IDENTITY, width), |normal| {
             (DQuat::from_rotation_arc(DVec3::Z, normal), THICKNESS * width)
         });
-        let log_scale = [width, width, thickness].map(|scale| scale.ln() as f32);
+        let log_scale = [width, width, thickness].map(|scale| libm::log(scale) as f32);
         let quat = [quat.w, quat.x, quat.y, quat.z].map(|v| v as f32);
         splats.push(position.map(|v| v as f32), quat, log_scale, logit, &sh);
     }

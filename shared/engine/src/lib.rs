@@ -7,6 +7,8 @@
 //! Where to start reading: [`backend`] declares the passes, and in [`train`] a step reads as a list of passes. Then
 //! `layout` has the code that both backends share, [`cpu`] uses SIMD and threads, and `gpu` uses graphics cards.
 
+#![cfg_attr(not(test), warn(clippy::disallowed_methods))]
+
 mod any;
 pub mod backend;
 mod base;

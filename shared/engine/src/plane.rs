@@ -33,8 +33,8 @@ fn least_eigenvalue(a: &DMat3) -> Option<f64> {
     let squares: f64 = rest.to_cols_array().iter().map(|v| v * v).sum();
     let radius = (squares / 6.0).sqrt();
     let half = (rest * (1.0 / radius)).determinant() / 2.0;
-    let angle = half.clamp(-1.0, 1.0).acos() / 3.0;
-    let least = third + 2.0 * radius * (angle + 2.0 * std::f64::consts::FRAC_PI_3).cos();
+    let angle = libm::acos(half.clamp(-1.0, 1.0)) / 3.0;
+    let least = third + 2.0 * radius * libm::cos(angle + 2.0 * std::f64::consts::FRAC_PI_3);
     (radius > 1e-9).then_some(least)
 }
 

@@ -68,10 +68,11 @@ pub(crate) fn importance_by(shapes: &Shapes, scores: &Scores, score: PruneScore)
     let reference = quantile(&sizes, SIZE_QUANTILE);
     (0..sizes.len())
         .map(|i| {
-            let share = (sizes[i] / reference.max(f32::MIN_POSITIVE)).clamp(0.0, 1.0).powf(SIZE_EXPONENT);
+            let share =
+                libm::powf((sizes[i] / reference.max(f32::MIN_POSITIVE)).clamp(0.0, 1.0), SIZE_EXPONENT);
             let contribution = match score {
                 PruneScore::Corrected => scores.squared_weights[i],
-                PruneScore::Paper => scores.hits[i] / (1.0 + (-shapes.opacity_logits[i]).exp()),
+                PruneScore::Paper => scores.hits[i] / (1.0 + libm::expf(-shapes.opacity_logits[i])),
             };
             contribution * share
         })
@@ -82,8 +83,8 @@ pub(crate) fn importance_by(shapes: &Shapes, scores: &Scores, score: PruneScore)
 fn size(log_scale: [f32; 3], score: PruneScore) -> f32 {
     let sum: f32 = log_scale.iter().sum();
     match score {
-        PruneScore::Corrected => (sum - log_scale.into_iter().fold(f32::INFINITY, f32::min)).exp(),
-        PruneScore::Paper => sum.exp(),
+        PruneScore::Corrected => libm::expf(sum - log_scale.into_iter().fold(f32::INFINITY, f32::min)),
+        PruneScore::Paper => libm::expf(sum),
     }
 }
 
@@ -119,8 +120,8 @@ pub(crate) fn unobserved(scores: &Scores, observers_min: u32) -> Vec<u32> {
 /// invisible in all views. `hits` is the number of pixels that each splat was blended into ([`Scores::hits`]); splats
 /// beyond its end are left out.
 pub(crate) fn useless(splats: &Splats, hits: &[f32], opacity_min: f32, scale_max: f32) -> Vec<u32> {
-    let logit_min = (opacity_min / (1.0 - opacity_min)).ln();
-    let log_scale_max = scale_max.ln();
+    let logit_min = libm::logf(opacity_min / (1.0 - opacity_min));
+    let log_scale_max = libm::logf(scale_max);
     // A comparison with NaN is false, so splats with NaN are removed.
     let stays = |i: usize| {
         splats.opacity_logits[i] >= logit_min

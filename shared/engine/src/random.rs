@@ -47,7 +47,7 @@ impl Random {
 
     /// Normally distributed, mean 0, standard deviation 1 (Box–Muller).
     pub(crate) fn normal(&mut self) -> f32 {
-        let radius = (-2.0 * self.unit().ln()).sqrt();
-        (radius * (std::f64::consts::TAU * self.unit()).cos()) as f32
+        let radius = (-2.0 * libm::log(self.unit())).sqrt();
+        (radius * libm::cos(std::f64::consts::TAU * self.unit())) as f32
     }
 }

@@ -38,8 +38,8 @@ pub(crate) struct RefineLimits {
 /// as long as eight training steps on a graphics card.
 pub(crate) fn refine(shapes: &Shapes, limits: &RefineLimits) -> Edit {
     let n = shapes.opacity_logits.len();
-    let logit_min = (OPACITY_MIN / (1.0 - OPACITY_MIN)).ln();
-    let log_scale_max = (SCALE_MAX * limits.extent).ln() as f32;
+    let logit_min = libm::logf(OPACITY_MIN / (1.0 - OPACITY_MIN));
+    let log_scale_max = libm::log(SCALE_MAX * limits.extent) as f32;
     let dies = |i: usize| {
         // A comparison with NaN is false, so splats with NaN are removed.
         let keeps = shapes.opacity_logits[i] >= logit_min
@@ -50,7 +50,7 @@ pub(crate) fn refine(shapes: &Shapes, limits: &RefineLimits) -> Edit {
     let dead: Vec<bool> = (0..n).into_par_iter().map(dies).collect();
     let survivors = dead.iter().filter(|dead| !**dead).count();
     let is_small =
-        |i: usize| f64::from(largest(shapes.log_scales[i])).exp() <= CLONE_SCALE_MAX * limits.extent;
+        |i: usize| libm::exp(f64::from(largest(shapes.log_scales[i]))) <= CLONE_SCALE_MAX * limits.extent;
     let demand = |i: usize| {
         let pulled = shapes.screen_gradients[i] / SCREEN_GRADIENT_MIN;
         let torn = shapes.absolute_gradients[i] / ABSOLUTE_GRADIENT_MIN;
@@ -93,12 +93,12 @@ fn largest(log_scale: [f32; 3]) -> f32 {
 fn child(shapes: &Shapes, parent: usize, shrink: f32, random: &mut Random) -> Birth {
     let [w, x, y, z] = shapes.quats[parent];
     let rotation = Quat::from_xyzw(x, y, z, w).normalize();
-    let scale = Vec3::from(shapes.log_scales[parent]).exp();
+    let scale = Vec3::from(shapes.log_scales[parent].map(libm::expf));
     let offset = rotation * (scale * Vec3::new(random.normal(), random.normal(), random.normal()));
     Birth {
         parent: parent as u32,
         mean: (Vec3::from(shapes.means[parent]) + offset).to_array(),
-        log_scale: shapes.log_scales[parent].map(|v| v - shrink.ln()),
+        log_scale: shapes.log_scales[parent].map(|v| v - libm::logf(shrink)),
         opacity_logit: shapes.opacity_logits[parent],
     }
 }

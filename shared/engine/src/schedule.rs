@@ -142,7 +142,7 @@ impl Schedule {
 
     /// Factor on the learning rate of exposures, at least 1. Runs as long as a 3DGS training have 1.
     pub fn exposure_haste(&self) -> f64 {
-        self.shortness().powf(EXPOSURE_HASTE)
+        libm::pow(self.shortness(), EXPOSURE_HASTE)
     }
 
     /// By which factor this run is shorter than a 3DGS training, at least 1.
@@ -153,10 +153,11 @@ impl Schedule {
     /// Learning rates of a step (counted from 0) in a scene of this extent, world units.
     pub fn rates(&self, step: u32, extent: f64) -> AdamRates {
         let progress = f64::from(step) / f64::from(self.steps.max(1));
-        let mean = MEAN_RATE * MEAN_RATE_FALL.powf(progress);
+        let mean = MEAN_RATE * libm::pow(MEAN_RATE_FALL, progress);
         let shortness = self.shortness();
-        let cooldown = COOLDOWN_FALL.powf(((progress - COOLDOWN_FROM) / (1.0 - COOLDOWN_FROM)).max(0.0));
-        let hasty = |rate: f64, haste: f64| rate * shortness.powf(haste);
+        let cooldown =
+            libm::pow(COOLDOWN_FALL, ((progress - COOLDOWN_FROM) / (1.0 - COOLDOWN_FROM)).max(0.0));
+        let hasty = |rate: f64, haste: f64| rate * libm::pow(shortness, haste);
         let rate = |rate: f64, haste: f64| (cooldown * hasty(rate, haste)) as f32;
         AdamRates {
             mean: hasty(mean * extent, MEAN_HASTE) as f32,

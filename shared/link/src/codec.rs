@@ -20,6 +20,8 @@
 //! - A pack is stored in byte planes: the first byte of every splat, then the second byte of every splat, and
 //!   so on. Each plane is a zstd block of its own, so that it is coded by its own statistics ([`pack`]).
 
+#![cfg_attr(not(test), warn(clippy::disallowed_methods))]
+
 mod basis;
 mod decode;
 mod encode;

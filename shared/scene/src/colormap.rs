@@ -107,7 +107,7 @@ fn color(t: f32) -> [f32; 3] {
     let knot = ((t * 4.0) as usize).min(3);
     let chroma = mix([CHROMA[knot], CHROMA[knot + 1]], t * 4.0 - knot as f32);
     let hue = mix(HUE_DEG, t).to_radians();
-    linear_from_oklab(mix(LIGHTNESS, t), chroma * hue.cos(), chroma * hue.sin())
+    linear_from_oklab(mix(LIGHTNESS, t), chroma * libm::cosf(hue), chroma * libm::sinf(hue))
 }
 
 fn linear_from_oklab(lightness: f32, a: f32, b: f32) -> [f32; 3] {
@@ -124,7 +124,7 @@ fn linear_from_oklab(lightness: f32, a: f32, b: f32) -> [f32; 3] {
 /// Encodes linear light, clamped to 0..=1, as an sRGB byte (IEC 61966-2-1).
 fn byte_from_linear(v: f32) -> u8 {
     let v = v.clamp(0.0, 1.0);
-    let encoded = if v <= 0.003_130_8 { 12.92 * v } else { 1.055 * v.powf(1.0 / 2.4) - 0.055 };
+    let encoded = if v <= 0.003_130_8 { 12.92 * v } else { 1.055 * libm::powf(v, 1.0 / 2.4) - 0.055 };
     (encoded * 255.0).round() as u8
 }
 

@@ -11,6 +11,8 @@
 //! Where to start reading: [`camera`] for the coordinate frames and pixel conventions of the whole
 //! workspace, then [`splats`], then [`dataset`].
 
+#![cfg_attr(not(test), warn(clippy::disallowed_methods))]
+
 mod advice;
 pub mod atomic;
 mod base;

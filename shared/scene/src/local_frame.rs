@@ -61,13 +61,13 @@ impl LocalFrame {
         }
         let origin = match center.abs().max_element() > NEAR_EXTENTS * extent {
             true => {
-                let step = 10f64.powi((LATTICE_EXTENTS * extent).log10().ceil() as i32);
+                let step = 10f64.powi(libm::log10(LATTICE_EXTENTS * extent).ceil() as i32);
                 (center / step).round() * step
             }
             false => DVec3::ZERO,
         };
         let unit_exponent =
-            if ORDINARY.contains(&extent) { 0 } else { (extent / EXTENT).log2().floor() as i32 };
+            if ORDINARY.contains(&extent) { 0 } else { libm::log2(extent / EXTENT).floor() as i32 };
         Self { origin, unit_exponent }
     }
 
@@ -87,7 +87,7 @@ impl LocalFrame {
 
     /// Length of the local unit, world units.
     pub fn unit(&self) -> f64 {
-        f64::from(self.unit_exponent).exp2()
+        libm::exp2(f64::from(self.unit_exponent))
     }
 
     /// The frame with the same origin and the world's unit: the frame of files.

@@ -30,7 +30,7 @@ pub fn psnr(a: &[f32], b: &[f32]) -> f64 {
     assert!(!a.is_empty(), "a picture must have pixels");
     let squares = a.iter().zip(b).map(|(&a, &b)| (f64::from(a) - f64::from(b)).powi(2));
     let mse = squares.sum::<f64>() / a.len() as f64;
-    -10.0 * mse.log10()
+    -10.0 * libm::log10(mse)
 }
 
 /// [`psnr`] and [`ssim`] of a rendering against a photograph, over the pixels of the photograph that count. In the windows
@@ -50,7 +50,7 @@ pub fn scores(rendering: &[f32], photograph: &Picture) -> [f64; 2] {
     assert!(count > 0, "no pixel of the photograph counts");
     let share = count as f64 / counted.len() as f64;
     let total = ssim_where(rendering, &wanted, photograph.size_px, |pixel| counted[pixel]);
-    [psnr(rendering, &wanted) + 10.0 * share.log10(), total / (3 * count) as f64]
+    [psnr(rendering, &wanted) + 10.0 * libm::log10(share), total / (3 * count) as f64]
 }
 
 /// [`psnr`] of one plain colour, the mean of the photograph, against the photograph, over its pixels that count: what a model
@@ -67,7 +67,7 @@ pub fn plain_psnr(photograph: &Picture) -> f64 {
     }
     assert!(count > 0.0, "no pixel of the photograph counts");
     let mse = (squares / count - (sum / count).length_squared()) / 3.0;
-    -10.0 * mse.max(0.0).log10()
+    -10.0 * libm::log10(mse.max(0.0))
 }
 
 /// Mean structural similarity of two pictures `[height, width, rgb]` with values 0 to 1; 1 if they are
@@ -113,7 +113,7 @@ fn ssim_where(a: &[f32], b: &[f32], size_px: [u32; 2], counts: impl Fn(usize) ->
 fn window() -> [f64; WINDOW] {
     let center = (WINDOW / 2) as f64;
     let weights: [f64; WINDOW] =
-        std::array::from_fn(|i| (-(i as f64 - center).powi(2) / (2.0 * SIGMA_PX * SIGMA_PX)).exp());
+        std::array::from_fn(|i| libm::exp(-(i as f64 - center).powi(2) / (2.0 * SIGMA_PX * SIGMA_PX)));
     let sum: f64 = weights.iter().sum();
     weights.map(|weight| weight / sum)
 }

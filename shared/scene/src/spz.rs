@@ -54,7 +54,7 @@ const READ_AT_ONCE: usize = 1024;
 /// Writes `splats` as SPZ, atomically: after an error, an earlier file at `path` is unchanged. Errors: a coordinate
 /// beyond ±8,388,607, and version 1, which is not written.
 pub fn write(path: &Path, splats: &Splats, version: Version) -> Result<(), SceneError> {
-    write_with(path, splats.sh_degree, version, &whole(splats))
+    write_with(path, splats.sh_degree, version, &*whole(splats))
 }
 
 /// As [`write()`], for splats that come in parts of this degree, so that they need not all be in memory. `source` is called
@@ -73,11 +73,11 @@ pub fn write_with(path: &Path, sh_degree: u32, version: Version, source: &Source
 pub type Source<'a> = dyn Fn(&mut dyn FnMut(&Splats)) -> Result<(), SceneError> + 'a;
 
 /// Splats as one part.
-fn whole(splats: &Splats) -> impl Fn(&mut dyn FnMut(&Splats)) -> Result<(), SceneError> {
-    |visit| {
+fn whole(splats: &Splats) -> Box<Source<'_>> {
+    Box::new(|visit| {
         visit(splats);
         Ok(())
-    }
+    })
 }
 
 /// The bytes of an SPZ file of version 3 with these splats; `None` if a coordinate is beyond ±8,388,607.
@@ -88,9 +88,9 @@ pub fn to_bytes(splats: &Splats) -> Option<Vec<u8>> {
 /// As [`to_bytes`], of version 2, 3 or 4.
 pub(crate) fn to_bytes_of(splats: &Splats, version: Version) -> Option<Vec<u8>> {
     let source = whole(splats);
-    let header = pack::header(splats.sh_degree, version, &source).ok()??;
+    let header = pack::header(splats.sh_degree, version, &*source).ok()??;
     let mut bytes = Cursor::new(Vec::new());
-    pack::encode(&mut bytes, &header, &source).ok()?;
+    pack::encode(&mut bytes, &header, &*source).ok()?;
     Some(bytes.into_inner())
 }
 

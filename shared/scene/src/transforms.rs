@@ -183,7 +183,7 @@ impl Intrinsics {
     fn lens(&self, picture: &Path) -> Result<Lens, Refusal> {
         let size_px = self.size_px(picture)?;
         let [width, height] = size_px.map(f64::from);
-        let from_angle = |angle: f64, side: f64| 0.5 * side / (0.5 * angle).tan();
+        let from_angle = |angle: f64, side: f64| 0.5 * side / libm::tan(0.5 * angle);
         let by_angle_x = self.camera_angle_x.map(|angle| from_angle(angle, width));
         let by_angle_y = self.camera_angle_y.map(|angle| from_angle(angle, height));
         let fl_x = self.fl_x.or(by_angle_x).ok_or("neither fl_x nor camera_angle_x is given")?;

@@ -40,7 +40,7 @@ impl Counts {
     pub(super) fn of(splats: &Splats, counted: impl Iterator<Item = usize>, side: f64) -> Self {
         let mut cubes = HashMap::new();
         for i in counted {
-            let opacity = 1.0 / (1.0 + f64::from(-splats.opacity_logits[i]).exp());
+            let opacity = 1.0 / (1.0 + libm::exp(f64::from(-splats.opacity_logits[i])));
             let mean = DVec3::from_array(splats.means[i].map(f64::from));
             *cubes.entry(cube(mean, side)).or_insert(0) += (OPAQUE * opacity).round() as u64;
         }

@@ -77,11 +77,11 @@ fn facing(splats: &Splats, i: usize, side: f64) -> DMat3 {
     let log_scales = splats.log_scales[i].map(f64::from);
     let shortest = (0..3).fold(0, |a, b| if log_scales[b] < log_scales[a] { b } else { a });
     let log_area = log_scales.iter().sum::<f64>() - log_scales[shortest];
-    let opacity = 1.0 / (1.0 + f64::from(-splats.opacity_logits[i]).exp());
+    let opacity = 1.0 / (1.0 + libm::exp(f64::from(-splats.opacity_logits[i])));
     let [w, x, y, z] = splats.quats[i].map(f64::from);
     let normal = DQuat::from_xyzw(x, y, z, w).normalize() * DVec3::AXES[shortest];
     let outer = DMat3::from_cols(normal * normal.x, normal * normal.y, normal * normal.z);
-    if opacity < OPACITY_MIN { DMat3::ZERO } else { opacity * log_area.exp().min(side * side) * outer }
+    if opacity < OPACITY_MIN { DMat3::ZERO } else { opacity * libm::exp(log_area).min(side * side) * outer }
 }
 
 #[cfg(test)]

@@ -15,7 +15,7 @@ use crate::layout::constants::{
 };
 use crate::layout::planes::{RGB, TRANSMITTANCE};
 use crate::layout::tiles::{TILE, TileImage};
-use crate::simd::{GROUP, Isa, Kernel, Lanes, Row, each};
+use crate::simd::{GROUP, Isa, Kernel, Lanes, Row, Total, each};
 
 /// Number of rows of tiles in a band. Bands do not depend on the number of threads, so the sums do not either.
 const BAND_TILES: usize = 2;
@@ -456,18 +456,20 @@ fn sign<L: Lanes>(value: L) -> L {
 /// All sums of a line except SSIM. The padding beyond the right border is zero in all three lines, so it adds nothing.
 #[inline(always)]
 fn differences<L: Lanes>(x: &[f32], exposed: &[f32], y: &[f32]) -> Sums {
-    let (mut l1, mut squares) = (L::zero(), L::zero());
-    let (mut signs, mut signed_x) = (L::zero(), L::zero());
-    for start in (MARGIN..x.len() - MARGIN).step_by(L::N) {
-        let (x, y) = (L::load(&x[start..]), L::load(&y[start..]));
-        let (raw, difference) = (x - y, L::load(&exposed[start..]) - y);
-        let sign = sign(difference);
-        l1 = l1 + difference.abs();
-        squares = raw.mul_add(raw, squares);
-        signs = signs + sign;
-        signed_x = sign.mul_add(x, signed_x);
+    let mut sums = [Total::<L>::zero(); 4];
+    for group in (MARGIN..x.len() - MARGIN).step_by(GROUP) {
+        for part in 0..GROUP / L::N {
+            let start = group + part * L::N;
+            let (x, y) = (L::load(&x[start..]), L::load(&y[start..]));
+            let (raw, difference) = (x - y, L::load(&exposed[start..]) - y);
+            let sign = sign(difference);
+            sums[0][part] = sums[0][part] + difference.abs();
+            sums[1][part] = raw.mul_add(raw, sums[1][part]);
+            sums[2][part] = sums[2][part] + sign;
+            sums[3][part] = sign.mul_add(x, sums[3][part]);
+        }
     }
-    let [l1, squares, signs, signed_x] = [l1, squares, signs, signed_x].map(|sum| f64::from(sum.sum()));
+    let [l1, squares, signs, signed_x] = each!([0, 1, 2, 3], |k| f64::from(sums[k].sum()));
     Sums { l1, ssim: 0.0, squares, signs, signed_x }
 }
 
@@ -483,39 +485,42 @@ fn ssim_row<L: Lanes>(
     partials: &mut [&mut [f32]; 3],
 ) -> f64 {
     let c = L::splat;
-    let mut sum = L::zero();
+    let mut sum = Total::<L>::zero();
     let mut values = Row::ZERO;
     let taps = moments.taps(y);
-    for start in (0..moments.width).step_by(L::N) {
-        let m = each!([0, 1, 2, 3, 4], |line| filtered_column::<L>(&taps[line], start, window));
-        let [mu_x, mu_y, xx, yy, xy] = m;
-        let (mu_xx, mu_yy, mu_xy) = (mu_x * mu_x, mu_y * mu_y, mu_x * mu_y);
-        let a1 = mu_xy + mu_xy + c(C1);
-        let a2 = c(2.0).mul_add(xy - mu_xy, c(C2));
-        let b1 = mu_xx + mu_yy + c(C1);
-        let b2 = xx - mu_xx + yy - mu_yy + c(C2);
-        let inv = c(1.0) / (b1 * b2);
-        let map = a1 * a2 * inv;
-        let by_xx = (map / b2).neg();
-        let by_xy = c(2.0) * a1 * inv;
-        // The derivative with respect to μx: directly, and through σx² = E[xx] - μx² and σxy = E[xy] - μx μy.
-        let by_mu = c(2.0) * (mu_y * (a2 - a1) * inv + mu_x * map * (c(1.0) / b2 - c(1.0) / b1));
-        let counts = L::zero().lt(L::load(&counted[MARGIN + start..]));
-        let map = L::select(counts, map, c(1.0));
-        let valid = width.saturating_sub(start).min(L::N);
-        let mut put = |line: usize, value: L| {
-            value.keep(counts).store(&mut partials[line][MARGIN + start..]);
-            partials[line][MARGIN + start + valid..MARGIN + start + L::N].fill(0.0);
-        };
-        put(0, by_mu);
-        put(1, by_xx);
-        put(2, by_xy);
-        if valid == L::N {
-            sum = sum + map;
-        } else {
-            values.set(0, map);
-            values.0[valid..].fill(0.0);
-            sum = sum + values.get::<L>(0);
+    for group in (0..moments.width).step_by(GROUP) {
+        for part in 0..GROUP / L::N {
+            let start = group + part * L::N;
+            let m = each!([0, 1, 2, 3, 4], |line| filtered_column::<L>(&taps[line], start, window));
+            let [mu_x, mu_y, xx, yy, xy] = m;
+            let (mu_xx, mu_yy, mu_xy) = (mu_x * mu_x, mu_y * mu_y, mu_x * mu_y);
+            let a1 = mu_xy + mu_xy + c(C1);
+            let a2 = c(2.0).mul_add(xy - mu_xy, c(C2));
+            let b1 = mu_xx + mu_yy + c(C1);
+            let b2 = xx - mu_xx + yy - mu_yy + c(C2);
+            let inv = c(1.0) / (b1 * b2);
+            let map = a1 * a2 * inv;
+            let by_xx = (map / b2).neg();
+            let by_xy = c(2.0) * a1 * inv;
+            // The derivative with respect to μx: directly, and through σx² = E[xx] - μx² and σxy = E[xy] - μx μy.
+            let by_mu = c(2.0) * (mu_y * (a2 - a1) * inv + mu_x * map * (c(1.0) / b2 - c(1.0) / b1));
+            let counts = L::zero().lt(L::load(&counted[MARGIN + start..]));
+            let map = L::select(counts, map, c(1.0));
+            let valid = width.saturating_sub(start).min(L::N);
+            let mut put = |line: usize, value: L| {
+                value.keep(counts).store(&mut partials[line][MARGIN + start..]);
+                partials[line][MARGIN + start + valid..MARGIN + start + L::N].fill(0.0);
+            };
+            put(0, by_mu);
+            put(1, by_xx);
+            put(2, by_xy);
+            if valid == L::N {
+                sum[part] = sum[part] + map;
+            } else {
+                values.set(0, map);
+                values.0[valid..].fill(0.0);
+                sum[part] = sum[part] + values.get::<L>(0);
+            }
         }
     }
     f64::from(sum.sum())

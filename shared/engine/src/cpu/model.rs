@@ -181,7 +181,7 @@ impl Model {
 
     /// Lowers every opacity to at most `opacity`; the moments of opacities become zero.
     pub(crate) fn cap_opacity(&mut self, opacity: f32) {
-        let limit = (opacity / (1.0 - opacity)).ln();
+        let limit = libm::logf(opacity / (1.0 - opacity));
         for i in 0..self.params.len() {
             let value = self.params.value(i, OPACITY).min(limit);
             self.params.set_value(i, OPACITY, value);

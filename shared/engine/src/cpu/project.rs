@@ -141,7 +141,7 @@ fn project_part<L: Lanes>(block: &[Row], view: &ViewParams, part: usize, fields:
     let logit = get(OPACITY);
     let tail = logit.abs().neg().max(L::splat(-80.0)).exp().ln_1p();
     let log2_opacity = log2_e * (logit.min(zero) - tail);
-    let falloff_max = log2_opacity - L::splat(ALPHA_MIN.log2());
+    let falloff_max = log2_opacity - L::splat(libm::log2f(ALPHA_MIN));
     // At an offset d, m = ½ dᵀ C⁻¹ d = falloff / log2(e), with the covariance C. The ellipse up to a given m has a box
     // with half-sides sqrt(2 m C_xx) and sqrt(2 m C_yy). `reach` is 2 m.
     let reach = L::splat(2.0 / LOG2_E) * falloff_max.max(zero);

@@ -15,7 +15,7 @@ use super::records::{Record, for_each_tile};
 use crate::layout::constants::{ALPHA_MAX, ALPHA_MIN, TRANSMITTANCE_MIN};
 use crate::layout::planes::{DISTANCE, NORMAL, PLANES_COLOR, PLANES_GEOMETRY, RGB};
 use crate::layout::tiles::{TILE, TileImage, centers};
-use crate::simd::{GROUP, Isa, Kernel, Lanes, Row, prefetch};
+use crate::simd::{GROUP, Isa, Kernel, Lanes, Row, Total, prefetch};
 
 /// First of six places in a [`Record`], which holds the gradients of one splat, summed over the pixels of one tile. The
 /// six are `Σq, Σq dx, Σq dy, Σq dx², Σq dx dy, Σq dy²`, with `q = α ∂L/∂α` and `(dx, dy) = mean - pixel`, px.
@@ -87,7 +87,7 @@ impl<const P: usize> Kernel for BackwardTile<'_, P> {
             let splat = &splats[id as usize];
             let (first, end) = touched_rows(splat, origin[1]);
             let (first_part, end_part) = touched_parts::<L>(splat, origin[0]);
-            let mut sums = [L::zero(); GROUP];
+            let mut sums = [Total::zero(); GROUP];
             for y in first..end {
                 let (terms, dy) = RowTerms::new(splat, origin[1] + y as f32 + 0.5);
                 for part in first_part..end_part {
@@ -132,7 +132,7 @@ fn add_row<L: Lanes, const P: usize>(
     gradient: &[[Row; TILE]; P],
     open: &mut Row,
     rest: &mut Row,
-    sums: &mut [L; GROUP],
+    sums: &mut [Total<L>; GROUP],
 ) {
     let Pixels { terms, dy, origin_x, y, part } = pixels;
     let dx = L::splat(splat.mean_px[0]) - centers::<L>(origin_x, part);
@@ -151,17 +151,17 @@ fn add_row<L: Lanes, const P: usize>(
     for channel in 0..3 {
         let g = gradient[RGB + channel][y].get::<L>(part);
         value = g.mul_add(L::splat(splat.rgb[channel]), value);
-        sums[V_RGB + channel] = weight.mul_add(g, sums[V_RGB + channel]);
+        sums[V_RGB + channel][part] = weight.mul_add(g, sums[V_RGB + channel][part]);
     }
     if P == PLANES_GEOMETRY {
         for axis in 0..3 {
             let g = gradient[NORMAL + axis][y].get::<L>(part);
             value = g.mul_add(L::splat(splat.normal[axis]), value);
-            sums[V_NORMAL + axis] = weight.mul_add(g, sums[V_NORMAL + axis]);
+            sums[V_NORMAL + axis][part] = weight.mul_add(g, sums[V_NORMAL + axis][part]);
         }
         let g = gradient[DISTANCE][y].get::<L>(part);
         value = g.mul_add(L::splat(splat.plane_distance), value);
-        sums[V_DISTANCE] = weight.mul_add(g, sums[V_DISTANCE]);
+        sums[V_DISTANCE][part] = weight.mul_add(g, sums[V_DISTANCE][part]);
     }
     let behind = weight.neg_mul_add(value, rest.get::<L>(part));
     rest.set(part, behind);
@@ -173,13 +173,13 @@ fn add_row<L: Lanes, const P: usize>(
     let q = odds.neg_mul_add(behind, weight * value).keep(moves);
     let q_dx = q * dx;
     let dy = L::splat(dy);
-    sums[MOMENTS] = sums[MOMENTS] + q;
-    sums[MOMENTS + 1] = sums[MOMENTS + 1] + q_dx;
-    sums[MOMENTS + 2] = q.mul_add(dy, sums[MOMENTS + 2]);
-    sums[MOMENTS + 3] = q_dx.mul_add(dx, sums[MOMENTS + 3]);
-    sums[MOMENTS + 4] = q_dx.mul_add(dy, sums[MOMENTS + 4]);
-    sums[MOMENTS + 5] = (q * dy).mul_add(dy, sums[MOMENTS + 5]);
+    sums[MOMENTS][part] = sums[MOMENTS][part] + q;
+    sums[MOMENTS + 1][part] = sums[MOMENTS + 1][part] + q_dx;
+    sums[MOMENTS + 2][part] = q.mul_add(dy, sums[MOMENTS + 2][part]);
+    sums[MOMENTS + 3][part] = q_dx.mul_add(dx, sums[MOMENTS + 3][part]);
+    sums[MOMENTS + 4][part] = q_dx.mul_add(dy, sums[MOMENTS + 4][part]);
+    sums[MOMENTS + 5][part] = (q * dy).mul_add(dy, sums[MOMENTS + 5][part]);
     let (by_x, by_y) = terms.slopes(splat, dx, dy);
-    sums[ABSOLUTE] = sums[ABSOLUTE] + (q * by_x).abs();
-    sums[ABSOLUTE + 1] = sums[ABSOLUTE + 1] + (q * by_y).abs();
+    sums[ABSOLUTE][part] = sums[ABSOLUTE][part] + (q * by_x).abs();
+    sums[ABSOLUTE + 1][part] = sums[ABSOLUTE + 1][part] + (q * by_y).abs();
 }

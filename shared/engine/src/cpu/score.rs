@@ -12,7 +12,7 @@ use super::records::{Record, for_each_tile};
 use crate::layout::constants::{ALPHA_MAX, ALPHA_MIN, OBSERVED_TRANSMITTANCE, TRANSMITTANCE_MIN};
 use crate::layout::rows::{HITS, OBSERVED, SCORE_ROWS, SQUARED_WEIGHT};
 use crate::layout::tiles::{TILE, TileImage, centers};
-use crate::simd::{GROUP, Isa, Kernel, Lanes, Row};
+use crate::simd::{GROUP, Isa, Kernel, Lanes, Row, Total};
 
 /// Writes the records of the last blended picture. In that picture, tile `t` processed `blended[t]` entries of its
 /// list.
@@ -89,7 +89,7 @@ impl Kernel for ScoreTile<'_> {
             let splat = &splats[id as usize];
             let (first, end) = touched_rows(splat, origin[1]);
             let (first_part, end_part) = touched_parts::<L>(splat, origin[0]);
-            let mut sums = [L::zero(); SCORE_ROWS];
+            let mut sums = [Total::zero(); SCORE_ROWS];
             for y in first..end {
                 let (terms, _) = RowTerms::new(splat, origin[1] + y as f32 + 0.5);
                 for part in first_part..end_part {
@@ -106,7 +106,7 @@ impl Kernel for ScoreTile<'_> {
 
 /// Repeats the blend of one splat into one vector of pixels, and adds the contribution of the splat to `sums`.
 #[inline(always)]
-fn add<L: Lanes>(alpha: L, part: usize, open: &mut Row, sums: &mut [L; SCORE_ROWS]) {
+fn add<L: Lanes>(alpha: L, part: usize, open: &mut Row, sums: &mut [Total<L>; SCORE_ROWS]) {
     let one = L::splat(1.0);
     let hit = alpha.ge(L::splat(ALPHA_MIN));
     let alpha = alpha.min(L::splat(ALPHA_MAX));
@@ -117,7 +117,7 @@ fn add<L: Lanes>(alpha: L, part: usize, open: &mut Row, sums: &mut [L; SCORE_ROW
     open.set(part, L::select(full, L::zero(), L::select(goes_on, after, before)));
     let clear = L::and(goes_on, L::splat(OBSERVED_TRANSMITTANCE).lt(before));
     let weight = (alpha * before).keep(goes_on);
-    sums[SQUARED_WEIGHT] = weight.mul_add(weight, sums[SQUARED_WEIGHT]);
-    sums[HITS] = sums[HITS] + one.keep(goes_on);
-    sums[OBSERVED] = sums[OBSERVED] + one.keep(clear);
+    sums[SQUARED_WEIGHT][part] = weight.mul_add(weight, sums[SQUARED_WEIGHT][part]);
+    sums[HITS][part] = sums[HITS][part] + one.keep(goes_on);
+    sums[OBSERVED][part] = sums[OBSERVED][part] + one.keep(clear);
 }

@@ -87,7 +87,7 @@ impl Surface {
         {
             plane::luma(rgb, neighbour.size_px, &mut self.neighbour_luma);
             let pair = Pair::new(view, neighbour, &self.neighbour_depth, &self.neighbour_luma);
-            self.multiview.loss(&scene, &pair, weights, gradient, &mut loss);
+            self.multiview.loss(isa, &scene, &pair, weights, gradient, &mut loss);
         }
         loss
     }

@@ -3,6 +3,7 @@
 //! cases are rotated and off-centre cameras, clamped slopes, nearly opaque splats, and splats on the border of the
 //! picture.
 
+mod bits;
 mod loss;
 mod reference;
 mod surface;

@@ -125,7 +125,7 @@ impl Editor {
 
 /// Lowers every opacity to at most `opacity`; the moments of opacities become zero.
 pub(super) fn cap_opacity(gpu: &Gpu, model: &Model, training: &Training, opacity: f32) {
-    let limit = (opacity / (1.0 - opacity)).ln();
+    let limit = libm::logf(opacity / (1.0 - opacity));
     let (first, end) = (OPACITY * model.stride, OPACITY * model.stride + model.len);
     let lowered: Vec<f32> =
         model.shape.read(gpu, first..end).into_iter().map(|logit| logit.min(limit)).collect();

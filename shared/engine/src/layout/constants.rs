@@ -74,7 +74,7 @@ pub(crate) const DISAGREEMENT_MAX: f32 = 0.9;
 /// sum 1.
 pub(crate) fn ssim_window() -> [f32; SSIM_TAPS] {
     let raw: [f64; SSIM_TAPS] =
-        std::array::from_fn(|i| (-(i as f64 - SSIM_REACH as f64).powi(2) / 4.5).exp());
+        std::array::from_fn(|i| libm::exp(-(i as f64 - SSIM_REACH as f64).powi(2) / 4.5));
     let sum: f64 = raw.iter().sum();
     raw.map(|w| (w / sum) as f32)
 }

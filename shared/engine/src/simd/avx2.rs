@@ -4,7 +4,7 @@
 
 use std::arch::x86_64::*;
 
-use super::lanes::{GROUP, Kernel, Lanes, Row, operators};
+use super::lanes::{GROUP, Kernel, Lanes, Row, Total, operators};
 
 #[derive(Clone, Copy)]
 pub(crate) struct Avx2(__m256);
@@ -27,6 +27,7 @@ operators!(Avx2, _mm256_add_ps, _mm256_sub_ps, _mm256_mul_ps, _mm256_div_ps);
 impl Lanes for Avx2 {
     const N: usize = 8;
     type Mask = __m256;
+    type Parts = [Self; 2];
 
     #[inline(always)]
     fn splat(value: f32) -> Self {
@@ -134,32 +135,42 @@ impl Lanes for Avx2 {
         unsafe { _mm256_movemask_ps(mask) as u32 }
     }
     #[inline(always)]
-    fn sum(self) -> f32 {
+    fn zero_parts() -> Self::Parts {
+        [Self::zero(); 2]
+    }
+    #[inline(always)]
+    fn sum([a, b]: &Self::Parts) -> f32 {
+        let eight = (*a + *b).0;
         // SAFETY: see above.
         unsafe {
-            let half = _mm_add_ps(_mm256_castps256_ps128(self.0), _mm256_extractf128_ps::<1>(self.0));
-            let quarter = _mm_add_ps(half, _mm_movehl_ps(half, half));
-            _mm_cvtss_f32(_mm_add_ss(quarter, _mm_movehdup_ps(quarter)))
+            let four = _mm_add_ps(_mm256_castps256_ps128(eight), _mm256_extractf128_ps::<1>(eight));
+            let two = _mm_add_ps(four, _mm_movehl_ps(four, four));
+            _mm_cvtss_f32(_mm_add_ss(two, _mm_movehdup_ps(two)))
         }
     }
 
-    /// Horizontal additions reduce eight vectors to one vector of their sums. This is done for both halves of
-    /// `vectors`.
+    /// The lanes of two vectors are interleaved and added, then those of two such sums, and so on.
     #[inline(always)]
-    fn sums(vectors: &[Self; GROUP]) -> Row {
-        let v = vectors;
+    fn sums(totals: &[Total<Self>; GROUP]) -> Row {
         // SAFETY: see above.
         unsafe {
-            let four = |k: usize| {
-                _mm256_hadd_ps(_mm256_hadd_ps(v[k].0, v[k + 1].0), _mm256_hadd_ps(v[k + 2].0, v[k + 3].0))
+            let pair =
+                |a: Self, b: Self| _mm256_add_ps(_mm256_unpacklo_ps(a.0, b.0), _mm256_unpackhi_ps(a.0, b.0));
+            // Both halves hold partial sums of the vectors k..k+4.
+            let quad = |k: usize, part: usize| {
+                let v = |i: usize| totals[k + i][part];
+                let (a, b) = (_mm256_castps_pd(pair(v(0), v(1))), _mm256_castps_pd(pair(v(2), v(3))));
+                let (low, high) = (_mm256_unpacklo_pd(a, b), _mm256_unpackhi_pd(a, b));
+                _mm256_add_ps(_mm256_castpd_ps(low), _mm256_castpd_ps(high))
             };
-            let eight = |k: usize| {
-                let (a, b) = (four(k), four(k + 4));
+            let eight = |k: usize, part: usize| {
+                let (a, b) = (quad(k, part), quad(k + 4, part));
                 _mm256_add_ps(_mm256_permute2f128_ps::<0x20>(a, b), _mm256_permute2f128_ps::<0x31>(a, b))
             };
             let mut row = Row::ZERO;
-            Self(eight(0)).store(&mut row.0);
-            Self(eight(8)).store(&mut row.0[8..]);
+            for k in [0, 8] {
+                Self(_mm256_add_ps(eight(k, 0), eight(k, 1))).store(&mut row.0[k..]);
+            }
             row
         }
     }

@@ -4,7 +4,7 @@
 
 use std::arch::x86_64::*;
 
-use super::lanes::{GROUP, Kernel, Lanes, Row, operators};
+use super::lanes::{GROUP, Kernel, Lanes, Row, Total, operators};
 
 #[derive(Clone, Copy)]
 pub(crate) struct Avx512(__m512);
@@ -31,6 +31,7 @@ operators!(Avx512, _mm512_add_ps, _mm512_sub_ps, _mm512_mul_ps, _mm512_div_ps);
 impl Lanes for Avx512 {
     const N: usize = 16;
     type Mask = __mmask16;
+    type Parts = [Self; 1];
 
     #[inline(always)]
     fn splat(value: f32) -> Self {
@@ -125,15 +126,25 @@ impl Lanes for Avx512 {
         u32::from(mask)
     }
     #[inline(always)]
-    fn sum(self) -> f32 {
+    fn zero_parts() -> Self::Parts {
+        [Self::zero()]
+    }
+    #[inline(always)]
+    fn sum([all]: &Self::Parts) -> f32 {
         // SAFETY: see above.
-        unsafe { _mm512_reduce_add_ps(self.0) }
+        unsafe {
+            let upper = _mm512_extractf32x8_ps::<1>(all.0);
+            let eight = _mm256_add_ps(_mm512_castps512_ps256(all.0), upper);
+            let four = _mm_add_ps(_mm256_castps256_ps128(eight), _mm256_extractf128_ps::<1>(eight));
+            let two = _mm_add_ps(four, _mm_movehl_ps(four, four));
+            _mm_cvtss_f32(_mm_add_ss(two, _mm_movehdup_ps(two)))
+        }
     }
 
     /// Four rounds each halve the number of vectors: the lanes of two vectors are interleaved and added.
     #[inline(always)]
-    fn sums(vectors: &[Self; GROUP]) -> Row {
-        let v = vectors;
+    fn sums(totals: &[Total<Self>; GROUP]) -> Row {
+        let v = |i: usize| totals[i][0];
         // SAFETY: see above.
         unsafe {
             let pair =
@@ -145,10 +156,10 @@ impl Lanes for Avx512 {
             };
             // Each 128-bit part of `q[k]` holds partial sums of the vectors 4k..4k+4.
             let q = [
-                quad(pair(v[0], v[1]), pair(v[2], v[3])),
-                quad(pair(v[4], v[5]), pair(v[6], v[7])),
-                quad(pair(v[8], v[9]), pair(v[10], v[11])),
-                quad(pair(v[12], v[13]), pair(v[14], v[15])),
+                quad(pair(v(0), v(1)), pair(v(2), v(3))),
+                quad(pair(v(4), v(5)), pair(v(6), v(7))),
+                quad(pair(v(8), v(9)), pair(v(10), v(11))),
+                quad(pair(v(12), v(13)), pair(v(14), v(15))),
             ];
             let eight = |a: __m512, b: __m512| {
                 _mm512_add_ps(_mm512_shuffle_f32x4::<0x88>(a, b), _mm512_shuffle_f32x4::<0xdd>(a, b))

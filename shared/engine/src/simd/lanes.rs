@@ -1,6 +1,6 @@
 //! The trait [`Lanes`] of vectors, over which kernels are generic, and types and functions that use it.
 
-use std::ops::{Add, Div, Mul, Sub};
+use std::ops::{Add, Div, Index, IndexMut, Mul, Sub};
 
 /// Number of splats, or of pixels of a row, that passes process at a time, in `16 / L::N` vectors.
 pub(crate) const GROUP: usize = 16;
@@ -34,15 +34,17 @@ pub(crate) trait Lanes:
     const N: usize;
     /// One truth value per lane.
     type Mask: Copy;
+    /// The `16 / N` vectors of a group.
+    type Parts: Copy + AsRef<[Self]> + AsMut<[Self]>;
 
     fn splat(value: f32) -> Self;
     /// Reads the first `N` floats; panics if there are fewer.
     fn load(from: &[f32]) -> Self;
     /// Writes the first `N` floats; panics if there are fewer.
     fn store(self, to: &mut [f32]);
-    /// `self * b + c`, fused if the processor supports it.
+    /// `self * b + c`, rounded once.
     fn mul_add(self, b: Self, c: Self) -> Self;
-    /// `c - self * b`, fused if the processor supports it.
+    /// `c - self * b`, rounded once.
     fn neg_mul_add(self, b: Self, c: Self) -> Self;
     fn min(self, other: Self) -> Self;
     fn max(self, other: Self) -> Self;
@@ -62,8 +64,19 @@ pub(crate) trait Lanes:
     fn any(mask: Self::Mask) -> bool;
     /// The mask as bits: bit `i` is lane `i`.
     fn bits(mask: Self::Mask) -> u32;
-    /// Sum of the lanes, in a fixed order for each instruction set.
-    fn sum(self) -> f32;
+    fn zero_parts() -> Self::Parts;
+    /// Sum of a group's 16 floats: each of the first half plus its counterpart in the second, then the same with the
+    /// eight sums, the four and the two.
+    fn sum(parts: &Self::Parts) -> f32;
+    /// Float `i` of the result is the sum of the group `totals[i]`: in each quarter `(a₀ + a₂) + (a₁ + a₃)`, then the
+    /// quarters `(q₀ + q₁) + (q₂ + q₃)`. This is the order that takes the fewest instructions.
+    fn sums(totals: &[Total<Self>; GROUP]) -> Row;
+
+    /// `a * b + c` of single floats, rounded once.
+    #[inline(always)]
+    fn fused(a: f32, b: f32, c: f32) -> f32 {
+        a.mul_add(b, c)
+    }
 
     #[inline(always)]
     fn zero() -> Self {
@@ -116,15 +129,38 @@ pub(crate) trait Lanes:
         let p = p.mul_add(ss, c(2.0));
         p * s
     }
+}
 
-    /// Lane `i` of the result is the sum of `vectors[i]`, in a fixed order for each instruction set.
+/// Sums of many groups, float by float; their own sum does not depend on the instruction set. `total[part]` belongs to the
+/// `part`-th vector of each group.
+#[derive(Clone, Copy)]
+pub(crate) struct Total<L: Lanes>(pub(super) L::Parts);
+
+impl<L: Lanes> Total<L> {
     #[inline(always)]
-    fn sums(vectors: &[Self; GROUP]) -> Row {
-        let mut row = Row::ZERO;
-        for (value, vector) in row.0.iter_mut().zip(vectors) {
-            *value = vector.sum();
-        }
-        row
+    pub(crate) fn zero() -> Self {
+        Self(L::zero_parts())
+    }
+
+    #[inline(always)]
+    pub(crate) fn sum(&self) -> f32 {
+        L::sum(&self.0)
+    }
+}
+
+impl<L: Lanes> Index<usize> for Total<L> {
+    type Output = L;
+
+    #[inline(always)]
+    fn index(&self, part: usize) -> &L {
+        &self.0.as_ref()[part]
+    }
+}
+
+impl<L: Lanes> IndexMut<usize> for Total<L> {
+    #[inline(always)]
+    fn index_mut(&mut self, part: usize) -> &mut L {
+        &mut self.0.as_mut()[part]
     }
 }
 

@@ -4,7 +4,7 @@
 
 use std::arch::aarch64::*;
 
-use super::lanes::{Kernel, Lanes, operators};
+use super::lanes::{GROUP, Kernel, Lanes, Row, Total, operators};
 
 #[derive(Clone, Copy)]
 pub(crate) struct Neon(float32x4_t);
@@ -20,6 +20,7 @@ operators!(Neon, vaddq_f32, vsubq_f32, vmulq_f32, vdivq_f32);
 impl Lanes for Neon {
     const N: usize = 4;
     type Mask = uint32x4_t;
+    type Parts = [Self; 4];
 
     #[inline(always)]
     fn splat(value: f32) -> Self {
@@ -123,8 +124,39 @@ impl Lanes for Neon {
         unsafe { vaddvq_u32(vandq_u32(mask, vld1q_u32(LANES.as_ptr()))) }
     }
     #[inline(always)]
-    fn sum(self) -> f32 {
+    fn zero_parts() -> Self::Parts {
+        [Self::zero(); 4]
+    }
+    #[inline(always)]
+    fn sum([a, b, c, d]: &Self::Parts) -> f32 {
+        let four = (*a + *c) + (*b + *d);
         // SAFETY: see above.
-        unsafe { vaddvq_f32(self.0) }
+        unsafe {
+            let two = vadd_f32(vget_low_f32(four.0), vget_high_f32(four.0));
+            vget_lane_f32::<0>(two) + vget_lane_f32::<1>(two)
+        }
+    }
+
+    /// The lanes of two vectors are interleaved and added, then those of two such sums.
+    #[inline(always)]
+    fn sums(totals: &[Total<Self>; GROUP]) -> Row {
+        // SAFETY: see above.
+        let pair = |a: Self, b: Self| unsafe { vaddq_f32(vzip1q_f32(a.0, b.0), vzip2q_f32(a.0, b.0)) };
+        let quad = |k: usize, part: usize| {
+            let v = |i: usize| totals[k + i][part];
+            // SAFETY: see above.
+            Self(unsafe {
+                let a = vreinterpretq_f64_f32(pair(v(0), v(1)));
+                let b = vreinterpretq_f64_f32(pair(v(2), v(3)));
+                let (low, high) = (vzip1q_f64(a, b), vzip2q_f64(a, b));
+                vaddq_f32(vreinterpretq_f32_f64(low), vreinterpretq_f32_f64(high))
+            })
+        };
+        let mut row = Row::ZERO;
+        for k in [0, 4, 8, 12] {
+            let sums = (quad(k, 0) + quad(k, 1)) + (quad(k, 2) + quad(k, 3));
+            sums.store(&mut row.0[k..]);
+        }
+        row
     }
 }

@@ -1,6 +1,6 @@
 //! Vectors of eight `f32` in plain Rust, for processors without AVX-512, AVX2 or NEON, and for tests.
 
-use super::lanes::Lanes;
+use super::lanes::{GROUP, Lanes, Row, Total};
 
 /// Eight floats, compiled for the instruction set that every processor of the target has.
 #[derive(Clone, Copy)]
@@ -27,9 +27,28 @@ operator!(Sub, sub, -);
 operator!(Mul, mul, *);
 operator!(Div, div, /);
 
+/// `a * b + c`, rounded once. Processors without an instruction for it would call the system's library for each lane. The
+/// product is exact in `f64`. The sum is rounded to an odd number there, so that rounding it again gives what rounding once
+/// would (S. Boldo and G. Melquiond, "Emulation of a FMA and Correctly Rounded Sums", IEEE Transactions on Computers 57,
+/// 2008).
+#[inline(always)]
+fn fused(a: f32, b: f32, c: f32) -> f32 {
+    let (product, c) = (f64::from(a) * f64::from(b), f64::from(c));
+    let sum = product + c;
+    let of_c = sum - product;
+    let error = (product - (sum - of_c)) + (c - of_c);
+    let bits = sum.to_bits();
+    // False for infinities and NaN, whose error is NaN.
+    let is_inexact_and_even = error.abs() > 0.0 && bits & 1 == 0;
+    let is_larger = (error > 0.0) == (sum > 0.0);
+    let odd = if is_larger { bits.wrapping_add(1) } else { bits.wrapping_sub(1) };
+    f64::from_bits(if is_inexact_and_even { odd } else { bits }) as f32
+}
+
 impl Lanes for Plain {
     const N: usize = 8;
     type Mask = [bool; 8];
+    type Parts = [Self; 2];
 
     #[inline(always)]
     fn splat(value: f32) -> Self {
@@ -44,14 +63,17 @@ impl Lanes for Plain {
     fn store(self, to: &mut [f32]) {
         to[..8].copy_from_slice(&self.0);
     }
-    // Not `f32::mul_add`: without a fused instruction it would be a library call for each lane.
     #[inline(always)]
     fn mul_add(self, b: Self, c: Self) -> Self {
-        self * b + c
+        Self(std::array::from_fn(|i| fused(self.0[i], b.0[i], c.0[i])))
     }
     #[inline(always)]
     fn neg_mul_add(self, b: Self, c: Self) -> Self {
-        c - self * b
+        Self(std::array::from_fn(|i| fused(-self.0[i], b.0[i], c.0[i])))
+    }
+    #[inline(always)]
+    fn fused(a: f32, b: f32, c: f32) -> f32 {
+        fused(a, b, c)
     }
     #[inline(always)]
     fn min(self, other: Self) -> Self {
@@ -112,8 +134,19 @@ impl Lanes for Plain {
         (0..8).fold(0, |bits, i| bits | (u32::from(mask[i]) << i))
     }
     #[inline(always)]
-    fn sum(self) -> f32 {
-        let half: [f32; 4] = std::array::from_fn(|i| self.0[i] + self.0[i + 4]);
-        (half[0] + half[2]) + (half[1] + half[3])
+    fn zero_parts() -> Self::Parts {
+        [Self::zero(); 2]
+    }
+    #[inline(always)]
+    fn sum([a, b]: &Self::Parts) -> f32 {
+        let eight = (*a + *b).0;
+        let four: [f32; 4] = std::array::from_fn(|i| eight[i] + eight[i + 4]);
+        (four[0] + four[2]) + (four[1] + four[3])
+    }
+    #[inline(always)]
+    fn sums(totals: &[Total<Self>; GROUP]) -> Row {
+        let quarter = |a: &[f32]| (a[0] + a[2]) + (a[1] + a[3]);
+        let half = |part: &Self| quarter(&part.0[..4]) + quarter(&part.0[4..]);
+        Row(std::array::from_fn(|i| half(&totals[i][0]) + half(&totals[i][1])))
     }
 }

@@ -153,7 +153,7 @@ fn entropy<'a>(values: impl Iterator<Item = &'a f32>, step: f32) -> f64 {
         .iter()
         .filter(|&&count| count > 0)
         .map(|&count| f64::from(count) / total)
-        .map(|p| -p * p.log2())
+        .map(|p| -p * libm::log2(p))
         .sum()
 }
 
@@ -194,8 +194,8 @@ fn diagonalise(m: usize, matrix: &mut [f64]) -> Vec<f64> {
                     continue;
                 }
                 let theta = (matrix[q * m + q] - matrix[p * m + p]) / (2.0 * off_diagonal);
-                let tangent = theta.signum() / (theta.abs() + theta.hypot(1.0));
-                let cosine = tangent.hypot(1.0).recip();
+                let tangent = theta.signum() / (theta.abs() + libm::hypot(theta, 1.0));
+                let cosine = libm::hypot(tangent, 1.0).recip();
                 let sine = tangent * cosine;
                 for k in 0..m {
                     rotate(matrix, k * m + p, k * m + q, cosine, sine);

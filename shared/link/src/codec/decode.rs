@@ -172,7 +172,7 @@ fn decode_part(
 
 /// Enlarges the splats that have arrived so that they stand in for all `total` splats of the model.
 fn enlarge(splats: &mut Splats, total: usize) {
-    let growth = GROWTH_EXPONENT * (total as f32 / splats.len().max(1) as f32).ln();
+    let growth = GROWTH_EXPONENT * libm::logf(total as f32 / splats.len().max(1) as f32);
     for log_scale in &mut splats.log_scales {
         *log_scale = log_scale.map(|v| (v + growth).min(LOG_SCALE_MAX));
     }
@@ -298,7 +298,7 @@ impl<'a> Unpacker<'a> {
         let frame = ShapeFrame::decode(frame)?;
         // Quantisation moves a mean at most one step out of the bounds. Rounding to `f32` moves it a little
         // further.
-        let tolerance = 1.5 * f32::from(frame.step_exponent).exp2();
+        let tolerance = 1.5 * libm::exp2f(f32::from(frame.step_exponent));
         let checked = |index: usize, shape: &Shape| {
             let mut splat = dequantise(&frame, shape);
             let inside = bounds.clamp(splat.mean);

@@ -17,9 +17,9 @@ const MORTON_BITS: u32 = 21;
 pub fn plain_importance(splats: &Splats) -> Vec<f32> {
     (0..splats.len())
         .map(|i| {
-            let opacity = 1.0 / (1.0 + (-splats.opacity_logits[i]).exp());
+            let opacity = 1.0 / (1.0 + libm::expf(-splats.opacity_logits[i]));
             let [a, b, c] = splats.log_scales[i];
-            opacity * (a + b + c - a.min(b).min(c)).exp()
+            opacity * libm::expf(a + b + c - a.min(b).min(c))
         })
         .collect()
 }

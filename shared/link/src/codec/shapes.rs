@@ -61,9 +61,9 @@ pub(super) fn choose_frame(splats: &[FloatShape]) -> ShapeFrame {
     let middle = scales.len() / 2;
     let median = scales.select_nth_unstable_by(middle, |a, b| a[1].total_cmp(&b[1])).1[1];
     let (finest, coarsest) = (i32::from(*STEP_EXPONENTS.start()), i32::from(*STEP_EXPONENTS.end()));
-    let wanted = ((median.exp() / STEPS_PER_SCALE).log2().floor() as i32).clamp(finest, coarsest);
+    let wanted = (libm::log2f(libm::expf(median) / STEPS_PER_SCALE).floor() as i32).clamp(finest, coarsest);
     let steps_max = f64::from(u16::MAX - BASE_POSITION_STEPS);
-    let fits = |exponent: &i32| extent <= steps_max * f64::from(*exponent).exp2();
+    let fits = |exponent: &i32| extent <= steps_max * libm::exp2(f64::from(*exponent));
     ShapeFrame {
         origin: min,
         log_scale: smallest.max(largest - 255.0 * LOG_SCALE_STEP).clamp(-LOG_SCALE_MAX, LOG_SCALE_MAX),
@@ -89,7 +89,7 @@ fn quantise_in_steps(
 ) -> Shape {
     let order = axis_order(splat.log_scale);
     let log_scale = order.map(|axis| splat.log_scale[axis]);
-    let per_unit = f64::from(-frame.step_exponent).exp2() / f64::from(position_steps);
+    let per_unit = libm::exp2(f64::from(-frame.step_exponent)) / f64::from(position_steps);
     let position = std::array::from_fn(|k| {
         let offset = f64::from(splat.mean[k]) - f64::from(frame.origin[k]);
         (offset * per_unit).round() as u16 * position_steps
@@ -104,7 +104,7 @@ fn quantise_in_steps(
     let first = scale_steps(log_scale[0] - frame.log_scale);
     let at_first = frame.log_scale + first * LOG_SCALE_STEP;
     let second = scale_steps(at_first - log_scale[1]);
-    let thickness = (log_scale[2] - at_first + second * LOG_SCALE_STEP).exp().min(1.0) / THICKNESS_STEP;
+    let thickness = libm::expf(log_scale[2] - at_first + second * LOG_SCALE_STEP).min(1.0) / THICKNESS_STEP;
     let logit = splat.opacity_logit.clamp(-OPACITY_LOGIT_MAX, OPACITY_LOGIT_MAX);
     Shape {
         position,
@@ -118,7 +118,7 @@ fn quantise_in_steps(
 
 /// Dequantises a splat. Any integers give a valid splat.
 pub(super) fn dequantise(frame: &ShapeFrame, shape: &Shape) -> FloatShape {
-    let step = f64::from(frame.step_exponent).exp2();
+    let step = libm::exp2(f64::from(frame.step_exponent));
     let mean =
         std::array::from_fn(|k| (f64::from(frame.origin[k]) + f64::from(shape.position[k]) * step) as f32);
     let [x, y, z] =
@@ -133,7 +133,8 @@ pub(super) fn dequantise(frame: &ShapeFrame, shape: &Shape) -> FloatShape {
     FloatShape {
         mean,
         quat: [w, x, y, z],
-        log_scale: [largest, middle, middle + thickness.ln()].map(|v| v.clamp(-LOG_SCALE_MAX, LOG_SCALE_MAX)),
+        log_scale: [largest, middle, middle + libm::logf(thickness)]
+            .map(|v| v.clamp(-LOG_SCALE_MAX, LOG_SCALE_MAX)),
         opacity_logit: f32::from(shape.opacity) * OPACITY_STEP,
         color: shape.color.map(|v| f32::from(v) * COLOR_STEP),
     }

@@ -222,6 +222,6 @@ fn copy_picture(out: &mut impl Write, picture: &Path, bytes: u64) -> io::Result<
 /// dark shades distinct.
 fn linear_from_srgb(byte: u8) -> u16 {
     let v = f32::from(byte) / 255.0;
-    let linear = if v <= 0.040_45 { v / 12.92 } else { ((v + 0.055) / 1.055).powf(2.4) };
+    let linear = if v <= 0.040_45 { v / 12.92 } else { libm::powf((v + 0.055) / 1.055, 2.4) };
     (linear * 65_535.0).round() as u16
 }

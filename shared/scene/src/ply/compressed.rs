@@ -237,7 +237,7 @@ impl Chunk {
             mean: within(0, three_shares(position)),
             quat: rotation_of(rotation),
             log_scale: within(6, three_shares(scale)),
-            opacity_logit: (a / (1.0 - a)).ln(),
+            opacity_logit: libm::logf(a / (1.0 - a)),
             ..Record::ZERO
         };
         record.sh[..3].copy_from_slice(&within(12, [r, g, b]).map(|value| (value - 0.5) / SH_C0));

@@ -145,7 +145,7 @@ fn positions(splats: &Splats, header: &Header, out: &mut Vec<u8>) {
 }
 
 fn opacities(splats: &Splats, _: &Header, out: &mut Vec<u8>) {
-    out.extend(splats.opacity_logits.iter().map(|logit| byte(255.0 / (1.0 + (-logit).exp()))));
+    out.extend(splats.opacity_logits.iter().map(|logit| byte(255.0 / (1.0 + libm::expf(-logit)))));
 }
 
 fn colors(splats: &Splats, _: &Header, out: &mut Vec<u8>) {

@@ -13,7 +13,7 @@ pub(super) fn unpack(header: &Header, bytes: [&[u8]; 6]) -> Record {
         mean: unpack_position(header, position),
         quat: unpack_quat(quat),
         log_scale: std::array::from_fn(|k| f32::from(scale[k]) / LOG_SCALE_STEPS + LOG_SCALE_MIN),
-        opacity_logit: (opacity / (1.0 - opacity)).ln(),
+        opacity_logit: libm::logf(opacity / (1.0 - opacity)),
         ..Record::ZERO
     };
     record.sh[..3].iter_mut().zip(color).for_each(|(v, byte)| {

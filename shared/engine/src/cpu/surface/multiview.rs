@@ -31,7 +31,7 @@ use crate::layout::planes::{DISTANCE, NORMAL};
 use crate::layout::sampling::sampled_pixel;
 use crate::layout::tiles::{TILE, TileImage};
 use crate::layout::view::{RelativePose, ViewParams};
-use crate::simd::Row;
+use crate::simd::{Isa, Kernel, Lanes, Row, each};
 
 /// A view and its neighbouring view. Intrinsics, depth and luma are those of the neighbouring view.
 pub(super) struct Pair<'a> {
@@ -42,8 +42,9 @@ pub(super) struct Pair<'a> {
     luma: &'a Plane,
 }
 
-fn dot(a: [f32; 3], b: [f32; 3]) -> f32 {
-    a[0].mul_add(b[0], a[1].mul_add(b[1], a[2] * b[2]))
+#[inline(always)]
+fn dot<L: Lanes>(a: [f32; 3], b: [f32; 3]) -> f32 {
+    L::fused(a[0], b[0], L::fused(a[1], b[1], a[2] * b[2]))
 }
 
 impl<'a> Pair<'a> {
@@ -52,10 +53,13 @@ impl<'a> Pair<'a> {
         Self { pose, focal_px: there.focal_px, center_px: there.center_px, depth, luma }
     }
 
-    fn rotate(&self, v: [f32; 3]) -> [f32; 3] {
-        self.pose.rotation.map(|row| dot(row, v))
+    #[inline(always)]
+    fn rotate<L: Lanes>(&self, v: [f32; 3]) -> [f32; 3] {
+        let rows = &self.pose.rotation;
+        [dot::<L>(rows[0], v), dot::<L>(rows[1], v), dot::<L>(rows[2], v)]
     }
 
+    #[inline(always)]
     fn rotate_back(&self, v: [f32; 3]) -> [f32; 3] {
         std::array::from_fn(|c| (0..3).map(|r| self.pose.rotation[r][c] * v[r]).sum())
     }
@@ -70,14 +74,19 @@ struct Moving {
 /// Projects `point`, whose derivative with respect to a depth is `by`. `None` if the point is behind the camera or too
 /// close to it.
 #[inline(always)]
-fn project(point: [f32; 3], by: [f32; 3], focal_px: [f32; 2], center_px: [f32; 2]) -> Option<Moving> {
+fn project<L: Lanes>(
+    point: [f32; 3],
+    by: [f32; 3],
+    focal_px: [f32; 2],
+    center_px: [f32; 2],
+) -> Option<Moving> {
     if point[2] <= NEAR {
         return None;
     }
     let inv_z = 1.0 / point[2];
     let slope = [point[0] * inv_z, point[1] * inv_z];
     Some(Moving {
-        at_px: [0, 1].map(|a| focal_px[a].mul_add(slope[a], center_px[a])),
+        at_px: each!([0, 1], |a| L::fused(focal_px[a], slope[a], center_px[a])),
         by_px: [0, 1].map(|a| focal_px[a] * (by[a] - slope[a] * by[2]) * inv_z),
     })
 }
@@ -116,6 +125,7 @@ impl Multiview {
     /// `gradient`.
     pub(super) fn loss(
         &mut self,
+        isa: Isa,
         scene: &Shown,
         pair: &Pair,
         weights: &MultiviewWeights,
@@ -133,9 +143,10 @@ impl Multiview {
             draw: weights.draw,
         };
         self.sums.resize(scene.image.tiles()[1], Sums::default());
-        bands(scene.image, gradient)
-            .zip(self.sums.par_iter_mut())
-            .for_each(|((band, gradient), sums)| *sums = band_loss(scene, pair, &each, band, gradient));
+        let weights = &each;
+        bands(scene.image, gradient).zip(self.sums.par_iter_mut()).for_each(|((band, gradient), sums)| {
+            *sums = isa.run(MultiviewBand { scene, pair, weights, band, gradient });
+        });
         let total = self.sums.iter().copied().fold(Sums::default(), Sums::plus);
         loss.reprojection = total.reprojection / samples;
         loss.ncc = total.ncc / samples;
@@ -171,26 +182,43 @@ impl Sums {
     }
 }
 
-fn band_loss(scene: &Shown, pair: &Pair, weights: &Weights, band: usize, gradient: &mut [Row]) -> Sums {
-    let mut sums = Sums::default();
-    let [width, _] = scene.image.size_px();
-    for top in scene.rows(band).step_by(weights.cell) {
-        for left in (0..width).step_by(weights.cell) {
-            let Some(sampled) = sample(scene, weights, left, top) else { continue };
-            let Some((e, by_depth)) = reprojection_error(scene.view, pair, &sampled) else { continue };
-            let trust = (-e).exp();
-            sums.returned += 1;
-            sums.reprojection += f64::from(trust * e);
-            let mut given = through_depth(&sampled, weights.reprojection * trust * by_depth);
-            if let Some((disagreement, by_plane)) = patches(scene, pair, &sampled) {
-                sums.matched += 1;
-                sums.ncc += f64::from(trust * disagreement);
-                through_ratio(&sampled, by_plane.map(|v| v * weights.ncc * trust), &mut given);
+/// A band's samples. Its numbers are single floats; it is a kernel because they are multiplied and added in one instruction.
+struct MultiviewBand<'a> {
+    scene: &'a Shown<'a>,
+    pair: &'a Pair<'a>,
+    weights: &'a Weights,
+    band: usize,
+    gradient: &'a mut [Row],
+}
+
+impl Kernel for MultiviewBand<'_> {
+    type Output = Sums;
+
+    #[inline(always)]
+    fn run<L: Lanes>(self) -> Sums {
+        let Self { scene, pair, weights, band, gradient } = self;
+        let mut sums = Sums::default();
+        let [width, _] = scene.image.size_px();
+        for top in scene.rows(band).step_by(weights.cell) {
+            for left in (0..width).step_by(weights.cell) {
+                let Some(sampled) = sample(scene, weights, left, top) else { continue };
+                let error = reprojection_error::<L>(scene.view, pair, &sampled);
+                let Some((e, by_depth)) = error else { continue };
+                let trust = libm::expf(-e);
+                sums.returned += 1;
+                sums.reprojection += f64::from(trust * e);
+                let mut given = through_depth(&sampled, weights.reprojection * trust * by_depth);
+                if let Some((disagreement, by_plane)) = patches::<L>(scene, pair, &sampled) {
+                    sums.matched += 1;
+                    sums.ncc += f64::from(trust * disagreement);
+                    let by_plane = each!([0, 1, 2], |k| by_plane[k] * weights.ncc * trust);
+                    through_ratio::<L>(&sampled, by_plane, &mut given);
+                }
+                add(scene.image, &sampled, &given, gradient);
             }
-            add(scene.image, &sampled, &given, gradient);
         }
+        sums
     }
-    sums
 }
 
 /// The sampled pixel of a cell, if it lies in the picture, is not masked and shows a surface.
@@ -223,21 +251,22 @@ fn ray(view: &ViewParams, x: f32, y: f32) -> [f32; 3] {
 /// The reprojection error of a pixel, px, and its derivative with respect to the pixel's depth. `None` if the
 /// neighbouring view has no depth or is masked at the projected position, a point is behind a camera, or the error is
 /// [`RETURN_MAX_PX`] or more.
-fn reprojection_error(here: &ViewParams, pair: &Pair, sampled: &Sampled) -> Option<(f32, f32)> {
-    let by = pair.rotate(sampled.ray);
-    let there: [f32; 3] = std::array::from_fn(|k| sampled.depth.mul_add(by[k], pair.pose.translation[k]));
-    let q = project(there, by, pair.focal_px, pair.center_px)?;
-    let depth = pair.depth.sample(q.at_px)?;
-    if depth.least <= 0.0 || pair.luma.sample(q.at_px)?.least <= MASKED_LUMA {
+#[inline(always)]
+fn reprojection_error<L: Lanes>(here: &ViewParams, pair: &Pair, sampled: &Sampled) -> Option<(f32, f32)> {
+    let by = pair.rotate::<L>(sampled.ray);
+    let there = each!([0, 1, 2], |k| L::fused(sampled.depth, by[k], pair.pose.translation[k]));
+    let q = project::<L>(there, by, pair.focal_px, pair.center_px)?;
+    let depth = pair.depth.sample::<L>(q.at_px)?;
+    if depth.least <= 0.0 || pair.luma.sample::<L>(q.at_px)?.least <= MASKED_LUMA {
         return None;
     }
     let by_depth = depth.slope[0] * q.by_px[0] + depth.slope[1] * q.by_px[1];
     let slope: [f32; 2] = std::array::from_fn(|a| (q.at_px[a] - pair.center_px[a]) / pair.focal_px[a]);
     let hit = [depth.value * slope[0], depth.value * slope[1], depth.value];
-    let along = |a: usize| by_depth.mul_add(slope[a], depth.value * q.by_px[a] / pair.focal_px[a]);
-    let hit_by = [along(0), along(1), by_depth];
+    let along = each!([0, 1], |a| L::fused(by_depth, slope[a], depth.value * q.by_px[a] / pair.focal_px[a]));
+    let hit_by = [along[0], along[1], by_depth];
     let back = pair.rotate_back(std::array::from_fn(|k| hit[k] - pair.pose.translation[k]));
-    let p = project(back, pair.rotate_back(hit_by), here.focal_px, here.center_px)?;
+    let p = project::<L>(back, pair.rotate_back(hit_by), here.focal_px, here.center_px)?;
     let off = [p.at_px[0] - (sampled.x as f32 + 0.5), p.at_px[1] - (sampled.y as f32 + 0.5)];
     let e = (off[0] * off[0] + off[1] * off[1]).sqrt();
     let slope = (off[0] * p.by_px[0] + off[1] * p.by_px[1]) / e.max(1e-6);
@@ -253,18 +282,20 @@ fn through_depth(sampled: &Sampled, v_depth: f32) -> PlaneGradient {
 }
 
 /// Adds the gradients with respect to the plane, given ∂L/∂m, through `m = N / D`.
-fn through_ratio(sampled: &Sampled, v_ratio: [f32; 3], into: &mut PlaneGradient) {
+#[inline(always)]
+fn through_ratio<L: Lanes>(sampled: &Sampled, v_ratio: [f32; 3], into: &mut PlaneGradient) {
     let inv_distance = 1.0 / sampled.distance;
     for axis in 0..3 {
         into.normal[axis] += v_ratio[axis] * inv_distance;
     }
-    into.distance -= dot(v_ratio, sampled.normal) * inv_distance * inv_distance;
+    into.distance -= dot::<L>(v_ratio, sampled.normal) * inv_distance * inv_distance;
 }
 
 /// `1 - NCC²` of the patch around a pixel and its warp in the neighbouring view, and the derivative with respect to
 /// `m = N / D`. `None` if a patch leaves its picture or is masked in part, the plane is behind a camera, or the patches do
 /// not match.
-fn patches(scene: &Shown, pair: &Pair, sampled: &Sampled) -> Option<(f32, [f32; 3])> {
+#[inline(always)]
+fn patches<L: Lanes>(scene: &Shown, pair: &Pair, sampled: &Sampled) -> Option<(f32, [f32; 3])> {
     let [width, height] = scene.image.size_px();
     let (x, y) = (sampled.x, sampled.y);
     if x < PATCH_REACH || y < PATCH_REACH || x + PATCH_REACH >= width || y + PATCH_REACH >= height {
@@ -279,20 +310,20 @@ fn patches(scene: &Shown, pair: &Pair, sampled: &Sampled) -> Option<(f32, [f32; 
     for i in 0..PATCH {
         let (px, py) = (x + i % PATCH_SIDE - PATCH_REACH, y + i / PATCH_SIDE - PATCH_REACH);
         let r = ray(scene.view, px as f32, py as f32);
-        let inverse_depth = -dot(ratio, r);
+        let inverse_depth = -dot::<L>(ratio, r);
         // The plane is behind the camera of this view.
         if inverse_depth <= 0.0 {
             return None;
         }
-        let turned = pair.rotate(r);
-        let point = std::array::from_fn(|k| inverse_depth.mul_add(pair.pose.translation[k], turned[k]));
+        let turned = pair.rotate::<L>(r);
+        let point = each!([0, 1, 2], |k| L::fused(inverse_depth, pair.pose.translation[k], turned[k]));
         // The plane is behind the camera of the neighbouring view, or too close to it. `point` is the point of the
         // plane times its inverse depth, so NEAR is scaled as well.
         if point[2] <= NEAR * inverse_depth {
             return None;
         }
-        let q = warp(point, pair);
-        let sample = pair.luma.sample(q.at_px)?;
+        let q = warp::<L>(point, pair);
+        let sample = pair.luma.sample::<L>(q.at_px)?;
         here[i] = scene.luma.value(px, py);
         if here[i].min(sample.least) <= MASKED_LUMA {
             return None;
@@ -300,7 +331,7 @@ fn patches(scene: &Shown, pair: &Pair, sampled: &Sampled) -> Option<(f32, [f32; 
         there[i] = sample.value;
         slopes[i] = sample.slope[0] * q.by_px[0] + sample.slope[1] * q.by_px[1];
     }
-    let correlation = Correlation::of(&here, &there);
+    let correlation = Correlation::of::<L>(&here, &there);
     let disagreement = correlation.disagreement();
     if correlation.covariance <= 0.0 || disagreement >= DISAGREEMENT_MAX {
         return None;
@@ -321,12 +352,13 @@ fn patches(scene: &Shown, pair: &Pair, sampled: &Sampled) -> Option<(f32, [f32; 
 
 /// Projects `point` into the neighbouring view, and computes the derivative with respect to the inverse depth of the
 /// plane.
-fn warp(point: [f32; 3], pair: &Pair) -> Moving {
+#[inline(always)]
+fn warp<L: Lanes>(point: [f32; 3], pair: &Pair) -> Moving {
     let inv_z = 1.0 / point[2];
     let slope = [point[0] * inv_z, point[1] * inv_z];
     let t = pair.pose.translation;
     Moving {
-        at_px: [0, 1].map(|a| pair.focal_px[a].mul_add(slope[a], pair.center_px[a])),
+        at_px: each!([0, 1], |a| L::fused(pair.focal_px[a], slope[a], pair.center_px[a])),
         by_px: [0, 1].map(|a| pair.focal_px[a] * (t[a] - slope[a] * t[2]) * inv_z),
     }
 }
@@ -339,13 +371,14 @@ struct Correlation {
 }
 
 impl Correlation {
-    fn of(a: &[f32; PATCH], b: &[f32; PATCH]) -> Self {
+    #[inline(always)]
+    fn of<L: Lanes>(a: &[f32; PATCH], b: &[f32; PATCH]) -> Self {
         let n = PATCH as f32;
         let means = [a, b].map(|patch| patch.iter().sum::<f32>() / n);
         let (mut aa, mut bb, mut ab) = (0.0, 0.0, 0.0);
         for (a, b) in a.iter().zip(b) {
             let (a, b) = (a - means[0], b - means[1]);
-            (aa, bb, ab) = (a.mul_add(a, aa), b.mul_add(b, bb), a.mul_add(b, ab));
+            (aa, bb, ab) = (L::fused(a, a, aa), L::fused(b, b, bb), L::fused(a, b, ab));
         }
         Self { means, variances: [aa / n, bb / n], covariance: ab / n }
     }

@@ -19,7 +19,7 @@ use super::shown::{Shown, band_row, bands};
 use crate::layout::constants::{MASKED_LUMA, NORMAL_REACH as REACH};
 use crate::layout::planes::{DISTANCE, NORMAL, TRANSMITTANCE};
 use crate::layout::tiles::{TILE, TileImage};
-use crate::simd::{Isa, Kernel, Lanes, Row, cross3, dot3, each};
+use crate::simd::{Isa, Kernel, Lanes, Row, Total, cross3, dot3, each};
 
 /// The loss with its scratch memory.
 #[derive(Debug)]
@@ -161,7 +161,7 @@ impl Kernel for NormalBand<'_> {
         let mut sum = 0.0;
         for y in rows.start.max(2 * REACH) - REACH..(rows.end + REACH).min(height.saturating_sub(REACH)) {
             let own = rows.contains(&y);
-            let mut line = L::zero();
+            let mut line = Total::<L>::zero();
             for tile_x in 0..scene.image.tiles()[0] {
                 for part in 0..TILE / L::N {
                     let column = tile_x * TILE + part * L::N;
@@ -171,7 +171,7 @@ impl Kernel for NormalBand<'_> {
                     }
                     let (loss, v) = pixel.gradients(L::splat(weight));
                     if own {
-                        line = line + loss;
+                        line[part] = line[part] + loss;
                         for (axis, v) in v.normal.into_iter().enumerate() {
                             gradient[band_row(scene.image, NORMAL + axis, y, tile_x)].set(part, v);
                         }

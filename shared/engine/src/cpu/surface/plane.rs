@@ -6,6 +6,7 @@ use rayon::prelude::*;
 use crate::backend::TargetRgb;
 use crate::layout::constants::{LUMA_WEIGHTS, MASKED_LUMA};
 use crate::layout::tiles::{PLANE_MARGIN as MARGIN, plane_len, plane_stride};
+use crate::simd::Lanes;
 
 /// A picture with one number per pixel and margins of zeros.
 #[derive(Debug, Default)]
@@ -68,7 +69,7 @@ impl Plane {
     /// Interpolates bilinearly between the four pixel centres around `q_px`, and computes the slopes. `None` if one of
     /// the four is outside the picture.
     #[inline(always)]
-    pub(super) fn sample(&self, q_px: [f32; 2]) -> Option<Sample> {
+    pub(super) fn sample<L: Lanes>(&self, q_px: [f32; 2]) -> Option<Sample> {
         let (u, v) = (q_px[0] - 0.5, q_px[1] - 0.5);
         // A comparison with NaN is false, so NaN is outside.
         if !(u >= 0.0 && v >= 0.0 && u < (self.size_px[0] - 1) as f32 && v < (self.size_px[1] - 1) as f32) {
@@ -80,7 +81,7 @@ impl Plane {
         let (upper, lower) = (&self.data[start..start + 2], &self.data[start + self.stride..][..2]);
         let (top, bottom) = (upper[1] - upper[0], lower[1] - lower[0]);
         let (left, right) = (lower[0] - upper[0], lower[1] - upper[1]);
-        let value = a.mul_add(top, upper[0]) + b * (left + a * (right - left));
+        let value = L::fused(a, top, upper[0]) + b * (left + a * (right - left));
         let least = upper[0].min(upper[1]).min(lower[0]).min(lower[1]);
         Some(Sample { value, slope: [top + b * (bottom - top), left + a * (right - left)], least })
     }

@@ -15,7 +15,7 @@ use super::shown::{Shown, band_row, bands};
 use crate::backend::{TargetSurface, TeacherLoss, TeacherWeights};
 use crate::layout::planes::NORMAL;
 use crate::layout::tiles::{TILE, TileImage};
-use crate::simd::{Isa, Kernel, Lanes, Row};
+use crate::simd::{Isa, Kernel, Lanes, Row, Total};
 
 /// The losses with their scratch memory.
 #[derive(Debug)]
@@ -117,7 +117,7 @@ impl Kernel for TeacherBand<'_> {
         for y in scene.rows(band) {
             lines.read(target, y, scene.image.size_px()[0]);
             let depths = scene.depth.line(y as isize);
-            let (mut depth_sum, mut normal_sum) = (L::zero(), L::zero());
+            let (mut depth_sum, mut normal_sum) = (Total::<L>::zero(), Total::<L>::zero());
             for tile_x in 0..scene.image.tiles()[0] {
                 for part in 0..TILE / L::N {
                     let place = Plane::at((tile_x * TILE + part * L::N) as isize);
@@ -126,12 +126,12 @@ impl Kernel for TeacherBand<'_> {
                     let (z, wanted) = (load(depths), load(&lines.depth));
                     let both = L::and(L::zero().lt(z), L::zero().lt(wanted));
                     let off = (z - wanted).keep(both);
-                    depth_sum = trust.mul_add(off.abs(), depth_sum);
+                    depth_sum[part] = trust.mul_add(off.abs(), depth_sum[part]);
                     signed(off, trust * L::splat(weights[0])).store(&mut v_depth[place..]);
                     for axis in 0..3 {
                         let blended = scene.image.row(NORMAL + axis, y, tile_x).get::<L>(part);
                         let off = blended - load(&lines.normal[axis]);
-                        normal_sum = trust.mul_add(off.abs(), normal_sum);
+                        normal_sum[part] = trust.mul_add(off.abs(), normal_sum[part]);
                         let row = &mut gradient[band_row(scene.image, NORMAL + axis, y, tile_x)];
                         let sum = row.get::<L>(part) + signed(off, trust * L::splat(weights[1]));
                         row.set(part, sum);

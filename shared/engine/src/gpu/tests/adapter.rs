@@ -2,12 +2,17 @@
 
 use crate::gpu::context::{Gpu, GpuChoice};
 
+/// Of the testkit. The tests of this crate also run on processors for which the testkit's dependencies take long to compile.
+#[path = "../../../../../tests/src/skips.rs"]
+#[allow(unreachable_pub)]
+mod skips;
+
 /// Opens the best adapter. If there is none, reports the test as skipped and returns `None`.
 pub(super) fn gpu() -> Option<Gpu> {
     match Gpu::open(GpuChoice::Any) {
         Ok(gpu) => Some(gpu),
         Err(error) => {
-            cosurf_tests::skips::skip("REQUIRE_GPU", error);
+            skips::skip("REQUIRE_GPU", error);
             None
         }
     }
