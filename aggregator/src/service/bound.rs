@@ -83,9 +83,9 @@ mod tests {
 
     #[test]
     fn the_bound_is_the_sum_of_the_limits_that_apply() {
-        let with_broker = "merge_memory_bytes = 2_097_153\nbroker_memory_bytes = 16_777_216\n";
+        let with_broker = "merge_memory_bytes = 33_554_433\nbroker_memory_bytes = 16_777_216\n";
         let text = bound(&format!("{with_broker}bind = \"127.0.0.1:0\"\n")).to_string();
-        assert!(text.starts_with("memory: at most 84 MiB: 1 for uploads"), "{text}");
+        assert!(text.starts_with("memory: at most 114 MiB: 1 for uploads"), "{text}");
         let without = bound("");
         let with = without.with_page(160 << 20);
         assert_eq!(with.at_most_bytes - without.at_most_bytes, 160 << 20);

@@ -1,7 +1,7 @@
 //! Keeps two programs from writing to one folder.
 
 use std::fs::{File, OpenOptions, TryLockError};
-use std::io::{ErrorKind, Read, Write};
+use std::io::{ErrorKind, Read, Seek, Write};
 use std::path::Path;
 
 use crate::{SceneError, atomic, files};
@@ -64,7 +64,7 @@ impl FolderLock {
             return Err(SceneError::OfAnother { folder: folder.to_owned(), program: earlier });
         }
         // The name only serves others; the lock holds without it, on a full disk too.
-        let _ = file.set_len(0);
+        let _ = file.set_len(0).and_then(|()| file.rewind());
         let _ = write!(file, "{program}, process {}", std::process::id());
         atomic::remove_partial_files(folder)?;
         atomic::check_folder(folder)?;

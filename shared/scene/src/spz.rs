@@ -46,6 +46,7 @@ use crate::parts::Parts;
 use crate::{LocalFrame, SceneError, Splats, atomic};
 use header::Header;
 pub use header::Version;
+pub use pack::Source;
 use steps::{LOG_SCALE_MIN, LOG_SCALE_STEPS};
 
 /// Splats whose bytes are read at a time.
@@ -68,9 +69,6 @@ pub fn write_with(path: &Path, sh_degree: u32, version: Version, source: &Source
     })?;
     atomic::write(path, |out| pack::encode(out, &header, source))
 }
-
-/// Calls a function with the parts of a model, one after the other.
-pub type Source<'a> = dyn Fn(&mut dyn FnMut(&Splats)) -> Result<(), SceneError> + 'a;
 
 /// Splats as one part.
 fn whole(splats: &Splats) -> Box<Source<'_>> {

@@ -5,7 +5,6 @@ use std::io::{self, Seek, SeekFrom, Write};
 use flate2::Compression;
 use flate2::write::GzEncoder;
 
-use super::Source;
 use super::columns::V4_HEAD_BYTES;
 use super::header::{COORDINATE_BITS, HEAD_BYTES, Header, MAGIC, Version};
 use super::steps::{AXIS_SIGNS, COLOR_SCALE, LOG_SCALE_MIN, LOG_SCALE_STEPS, SH_SIGNS};
@@ -19,6 +18,9 @@ const SH_BITS: [u32; 2] = [5, 4];
 const ZSTD_LEVEL: i32 = 3;
 /// Bytes that a compressor gets at a time. What it makes of them depends on their number, and not on the parts of a model.
 const CHUNK_BYTES: usize = 1 << 16;
+
+/// Calls a function with the parts of a model, one after the other.
+pub type Source<'a> = dyn Fn(&mut dyn FnMut(&Splats)) -> Result<(), SceneError> + 'a;
 
 /// The head of a file, with the largest number of fractional bits with which every coordinate fits; `None` if a coordinate is
 /// too large.
