@@ -40,7 +40,8 @@ impl Drop for FolderLock {
 impl FolderLock {
     /// Creates the folder and takes the lock. Others who want it are told `program` and the number of this process. Fails
     /// with [`SceneError::InUse`] if somebody else has it, with [`SceneError::OfAnother`] if a program of another kind has
-    /// left its results there, and with another error if this program may not create files in the folder. Where the file system cannot lock files, nobody is kept out. Deletes unfinished files of killed programs.
+    /// left its results there, and with another error if this program may not create files in the folder. Where the file
+    /// system cannot lock files, nobody is kept out. Deletes unfinished files of killed programs.
     pub fn take(folder: &Path, program: &str) -> Result<Self, SceneError> {
         files::create_folder(folder)?;
         let path = folder.join(NAME);
