@@ -19,7 +19,7 @@ use std::process::ExitCode;
 
 use anyhow::Result;
 use clap::{Parser, Subcommand};
-use cosurf_cli::{VERSION, shell};
+use cosurf_cli::{ENDED_BY_SIGNAL, VERSION, shell};
 use cosurf_contract::{ENDS_WITH_STDIN, LogFormat, log};
 
 /// Train a Gaussian-splat surface model from drone pictures, within a memory limit, on this computer's CPU or GPU. `ingest`
@@ -67,7 +67,7 @@ enum Command {
 
 /// The exit code of the program after an error.
 pub(crate) fn failure() -> ExitCode {
-    if stop::is_asked() { ExitCode::from(stop::ENDED_BY_SIGNAL) } else { ExitCode::FAILURE }
+    if stop::is_asked() { ExitCode::from(ENDED_BY_SIGNAL) } else { ExitCode::FAILURE }
 }
 
 pub(crate) fn run(cli: Cli) -> Result<()> {

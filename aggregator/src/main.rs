@@ -16,7 +16,7 @@ use cosurf_aggregator::georeference::write_georeference;
 use cosurf_aggregator::mission::MissionError;
 use cosurf_aggregator::service::{Command, Host, SideEvent, expected_devices, serve};
 use cosurf_aggregator::station::PAGE_BYTES;
-use cosurf_cli::{VERSION, shell};
+use cosurf_cli::{ENDED_BY_SIGNAL, VERSION, shell};
 use cosurf_contract::{Escaped, LogFormat, log};
 use cosurf_geo::Georeference;
 use cosurf_link::SerialConfig;
@@ -117,9 +117,6 @@ struct RunArgs {
     #[arg(long)]
     json: bool,
 }
-
-/// Exit code of a program that a signal has ended, as shells report it for Ctrl-C.
-const ENDED_BY_SIGNAL: u8 = 130;
 
 fn main() -> ExitCode {
     cosurf_engine::budget::return_freed_memory();

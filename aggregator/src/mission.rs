@@ -84,7 +84,7 @@ pub fn fly(order: &MissionOrder, around: &Surroundings) -> Result<Flown, Mission
     let georeference = common_georeference(std::slice::from_ref(&order.settings.data))?;
     write_georeference(georeference.as_ref(), &order.out)?;
     let frame = LocalFrame::of(dataset.cameras_of_views());
-    // What the process holds throughout the mission is not for merges, meshes and pictures.
+    // The true surface is in memory throughout the mission, so merges, meshes and pictures may take that much less.
     let held_bytes = Yardsticks::memory_bytes(&order.settings.data);
     check_memory(&dataset, &order.settings, held_bytes)?;
     let plan = make_plan(&dataset, &order.settings, &order.out, around, "")?;

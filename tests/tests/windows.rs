@@ -93,7 +93,7 @@ fn a_mission_flies_and_shows_its_page(wine: &Wine) {
     assert!(again.status.success(), "a mission that has ended cannot be repeated");
 }
 
-/// Of both agents' models, and of the model that was merged from what they sent.
+/// Compares both agents' models, and the model that was merged from them.
 fn the_same_mission_on_this_system_has_the_same_bytes(wine: &Wine) {
     let mut mission = Command::new(program(AGGREGATOR));
     let mission = mission.args(MISSION).args(["--out", "here"]).current_dir(wine.folder()).output().unwrap();

@@ -10,9 +10,7 @@ use std::time::Duration;
 
 use anyhow::{Context, Result};
 use cosurf_agent::status::StatusBoard;
-
-/// Exit code of a program that a signal has ended, as shells report it for Ctrl-C.
-pub(super) const ENDED_BY_SIGNAL: u8 = 130;
+use cosurf_cli::ENDED_BY_SIGNAL;
 
 /// Interval at which a program that is to end looks whether its training has ended.
 const TRAINING_POLL: Duration = Duration::from_millis(100);

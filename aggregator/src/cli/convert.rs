@@ -17,7 +17,8 @@ use glam::{DQuat, DVec3};
 /// Splats that are in memory at a time. A model is read in such parts, once for each column of an SPZ, so that it may be larger
 /// than the memory.
 const READ_AT_ONCE: usize = 4096;
-/// Memory that reading, packing and compressing take beside the process, bytes; measured.
+/// Upper bound on the memory for reading, packing and compressing, bytes. With it, converting may take 40 MiB; 2 million splats
+/// took 28.
 const WORK_BYTES: u64 = 12 << 20;
 
 /// Convert a model between PLY and SPZ; the extension of the file to write selects its format.
@@ -188,7 +189,7 @@ fn cameras(model: &Path, origin: DVec3) -> Result<Vec<Camera>> {
     Ok(cameras.iter().map(|camera| frame.local_camera(camera)).collect())
 }
 
-/// Fails if converting takes more memory than allowed. It takes the same for models of all sizes.
+/// Fails if converting takes more memory than allowed. The size of the model does not matter.
 fn check_memory(memory_bytes: Option<u64>) -> Result<()> {
     let needed_bytes = PROCESS_BYTES + WORK_BYTES;
     ensure!(

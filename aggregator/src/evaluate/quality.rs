@@ -12,7 +12,7 @@ use super::surface::SurfaceQuality;
 
 /// Path of the true surface inside a dataset's folder.
 const TRUE_MESH: &str = "gt/mesh.ply";
-/// Bytes of memory for each byte of the true surface's file: triangles, vertices and the tree for rays; measured 4.4.
+/// Bytes of memory for each byte of the true surface's file, for triangles, vertices and the tree for rays. Measured: 4.4.
 const MEMORY_PER_BYTE: u64 = 5;
 
 /// How well a model agrees with photographs and with the true surface, in one view or as a mean over views.

@@ -46,12 +46,12 @@ pub enum SceneError {
         /// The program and the number of the process, in words.
         holder: String,
     },
-    /// The folder has the results of a program of another kind, which would be lost.
+    /// The folder has results of a program of another kind; they would be replaced.
     #[error("{}: holds what {program} wrote; name another folder", folder.display())]
     OfAnother {
         /// The folder.
         folder: PathBuf,
-        /// The program.
+        /// The other program, in words.
         program: &'static str,
     },
     /// Too little can be written to the disk.

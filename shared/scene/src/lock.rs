@@ -10,8 +10,8 @@ use crate::{SceneError, atomic, files};
 const NAME: &str = "lock";
 /// Length of the name of a holder, up to which it is read, bytes.
 const HOLDER_BYTES_MAX: u64 = 200;
-/// Programs whose files in a folder have the same names, and other contents: none may replace those of another. Those that
-/// train may.
+/// The kinds of programs that write results, and what messages call them. Programs of different kinds write different contents
+/// to files of the same names, so a folder belongs to one kind.
 const KINDS: [(&[&str], &str); 4] = [
     (
         &["cosurf-agent train", "cosurf-agent run", "cosurf-agent preflight", "cosurf-agent doctor"],
@@ -21,7 +21,7 @@ const KINDS: [(&[&str], &str); 4] = [
     (&["cosurf-aggregator mission"], "cosurf-aggregator mission"),
     (&["cosurf-aggregator run", "cosurf-aggregator doctor"], "cosurf-aggregator run"),
 ];
-/// Files by which a folder has results.
+/// A folder with one of these files has results.
 const RESULTS: [&str; 5] = ["cameras.json", "global.ply", "merged.json", "model.ply", "report.json"];
 
 /// The right to write to a folder. It ends when this value is dropped, or when the process ends in any way.
@@ -39,8 +39,8 @@ impl Drop for FolderLock {
 
 impl FolderLock {
     /// Creates the folder and takes the lock. Others who want it are told `program` and the number of this process. Fails
-    /// with [`SceneError::InUse`] if somebody else has it, with [`SceneError::OfAnother`] if a program of another kind has
-    /// left its results there, and with another error if this program may not create files in the folder. Where the file
+    /// with [`SceneError::InUse`] if somebody else has it, with [`SceneError::OfAnother`] if the folder has results of a
+    /// program of another kind, and with another error if this program may not create files in the folder. Where the file
     /// system cannot lock files, nobody is kept out. Deletes unfinished files of killed programs.
     pub fn take(folder: &Path, program: &str) -> Result<Self, SceneError> {
         files::create_folder(folder)?;

@@ -1,4 +1,5 @@
-//! Reads numbers that must lie in a range, and folders that must have a name, so that others are errors at their lines.
+//! Reads numbers that must lie in a range, and names of folders, which must not be empty. Any other value is an error that tells
+//! its line.
 
 use std::fmt::Display;
 use std::ops::RangeInclusive;

@@ -20,6 +20,20 @@ pub(super) unsafe fn run<K: Kernel>(kernel: K) -> K::Output {
     kernel.run::<Avx2>()
 }
 
+/// The sum of a vector, as the last three steps of [`Lanes::sum`].
+///
+/// # Safety
+/// [`available`] must have returned true.
+#[inline(always)]
+pub(super) unsafe fn sum_of_eight(eight: __m256) -> f32 {
+    // SAFETY: see above.
+    unsafe {
+        let four = _mm_add_ps(_mm256_castps256_ps128(eight), _mm256_extractf128_ps::<1>(eight));
+        let two = _mm_add_ps(four, _mm_movehl_ps(four, four));
+        _mm_cvtss_f32(_mm_add_ss(two, _mm_movehdup_ps(two)))
+    }
+}
+
 operators!(Avx2, _mm256_add_ps, _mm256_sub_ps, _mm256_mul_ps, _mm256_div_ps);
 
 // SAFETY (every block below): only kernels that `Isa::run` calls use this type, on processors that support it; loads
@@ -140,16 +154,12 @@ impl Lanes for Avx2 {
     }
     #[inline(always)]
     fn sum([a, b]: &Self::Parts) -> f32 {
-        let eight = (*a + *b).0;
         // SAFETY: see above.
-        unsafe {
-            let four = _mm_add_ps(_mm256_castps256_ps128(eight), _mm256_extractf128_ps::<1>(eight));
-            let two = _mm_add_ps(four, _mm_movehl_ps(four, four));
-            _mm_cvtss_f32(_mm_add_ss(two, _mm_movehdup_ps(two)))
-        }
+        unsafe { sum_of_eight((*a + *b).0) }
     }
 
-    /// The lanes of two vectors are interleaved and added, then those of two such sums, and so on.
+    /// Interleaves the lanes of two vectors and adds them; does the same with two of the results, until one vector has a sum
+    /// in each lane.
     #[inline(always)]
     fn sums(totals: &[Total<Self>; GROUP]) -> Row {
         // SAFETY: see above.

@@ -4,6 +4,7 @@
 
 use std::arch::x86_64::*;
 
+use super::avx2::sum_of_eight;
 use super::lanes::{GROUP, Kernel, Lanes, Row, Total, operators};
 
 #[derive(Clone, Copy)]
@@ -134,10 +135,7 @@ impl Lanes for Avx512 {
         // SAFETY: see above.
         unsafe {
             let upper = _mm512_extractf32x8_ps::<1>(all.0);
-            let eight = _mm256_add_ps(_mm512_castps512_ps256(all.0), upper);
-            let four = _mm_add_ps(_mm256_castps256_ps128(eight), _mm256_extractf128_ps::<1>(eight));
-            let two = _mm_add_ps(four, _mm_movehl_ps(four, four));
-            _mm_cvtss_f32(_mm_add_ss(two, _mm_movehdup_ps(two)))
+            sum_of_eight(_mm256_add_ps(_mm512_castps512_ps256(all.0), upper))
         }
     }
 

@@ -131,8 +131,8 @@ pub(crate) trait Lanes:
     }
 }
 
-/// Sums of many groups, float by float; their own sum does not depend on the instruction set. `total[part]` belongs to the
-/// `part`-th vector of each group.
+/// The sum of many groups: 16 floats, of which the first is the sum of the first floats of all groups, and so on.
+/// `total[part]` is their `part`-th vector. [`Total::sum`] adds the 16 in the same order on every instruction set.
 #[derive(Clone, Copy)]
 pub(crate) struct Total<L: Lanes>(pub(super) L::Parts);
 

@@ -137,7 +137,7 @@ impl Lanes for Neon {
         }
     }
 
-    /// The lanes of two vectors are interleaved and added, then those of two such sums.
+    /// Interleaves the lanes of two vectors and adds them, then does the same with two of the results.
     #[inline(always)]
     fn sums(totals: &[Total<Self>; GROUP]) -> Row {
         // SAFETY: see above.

@@ -27,10 +27,10 @@ operator!(Sub, sub, -);
 operator!(Mul, mul, *);
 operator!(Div, div, /);
 
-/// `a * b + c`, rounded once. Processors without an instruction for it would call the system's library for each lane. The
-/// product is exact in `f64`. The sum is rounded to an odd number there, so that rounding it again gives what rounding once
-/// would (S. Boldo and G. Melquiond, "Emulation of a FMA and Correctly Rounded Sums", IEEE Transactions on Computers 57,
-/// 2008).
+/// `a * b + c`, rounded once. `f32::mul_add` would call a function of the system for each lane here. In `f64` the product is
+/// exact, but the sum is not always, and rounding it twice can give another result. So if digits of the sum were lost, its
+/// last bit is set, and the second rounding cannot mistake it for a tie ("round to odd": S. Boldo and G. Melquiond, "Emulation
+/// of a FMA and Correctly Rounded Sums", IEEE Transactions on Computers 57, 2008).
 #[inline(always)]
 fn fused(a: f32, b: f32, c: f32) -> f32 {
     let (product, c) = (f64::from(a) * f64::from(b), f64::from(c));

@@ -16,7 +16,8 @@ const FRACTION_BITS: u8 = 12;
 const SH_BITS: [u32; 2] = [5, 4];
 /// Level of zstd: its default.
 const ZSTD_LEVEL: i32 = 3;
-/// Bytes that a compressor gets at a time. What it makes of them depends on their number, and not on the parts of a model.
+/// Bytes that a compressor gets at a time. Its output depends on this number, which is therefore the same however a model is
+/// divided into parts.
 const CHUNK_BYTES: usize = 1 << 16;
 
 /// Calls a function with the parts of a model, one after the other.
@@ -49,7 +50,7 @@ pub(super) fn encode(out: &mut (impl Write + Seek), header: &Header, source: &So
     }
 }
 
-/// One stream has the head and all columns.
+/// Writes the head and all columns as one stream.
 fn encode_gzip(out: &mut impl Write, header: &Header, source: &Source) -> io::Result<()> {
     let mut gzip = GzEncoder::new(out, Compression::default());
     gzip.write_all(&head(header, 0))?;
@@ -60,7 +61,8 @@ fn encode_gzip(out: &mut impl Write, header: &Header, source: &Source) -> io::Re
     gzip.finish().map(drop)
 }
 
-/// The streams of the columns that are not empty, behind a table of their sizes, which are known afterwards.
+/// Writes a table of sizes, then a stream for each column that is not empty. The sizes are known at the end, so the table is
+/// written again then.
 fn encode_zstd(out: &mut (impl Write + Seek), header: &Header, source: &Source) -> io::Result<()> {
     let sizes = header.columns().map(|bytes| bytes as u64 * header.splats as u64);
     let stored: Vec<usize> = (0..sizes.len()).filter(|k| sizes[*k] > 0).collect();
@@ -98,7 +100,7 @@ fn head(header: &Header, streams: u8) -> [u8; HEAD_BYTES] {
     head
 }
 
-/// Appends what a column has of some splats.
+/// Appends the bytes that a column has for some splats.
 type Column = fn(&Splats, &Header, &mut Vec<u8>);
 
 /// The columns, in the order of the file.

@@ -182,7 +182,8 @@ impl Sums {
     }
 }
 
-/// A band's samples. Its numbers are single floats; it is a kernel because they are multiplied and added in one instruction.
+/// Computes the losses of a band, pixel by pixel. It needs no vectors; it is a kernel because [`Lanes::fused`] is then one
+/// instruction.
 struct MultiviewBand<'a> {
     scene: &'a Shown<'a>,
     pair: &'a Pair<'a>,

@@ -1,5 +1,5 @@
-//! Trains a scene on every instruction set of this machine. All must end with the same bits, also those of processors that this
-//! machine does not have.
+//! Trains a scene on every instruction set of this machine. All must end with the bits that are written down here, so that
+//! machines with other instruction sets can be compared with this one.
 
 use cosurf_scene::{Camera, SparsePoint, Splats};
 use glam::{DVec2, DVec3};

@@ -2,7 +2,8 @@
 
 use crate::gpu::context::{Gpu, GpuChoice};
 
-/// Of the testkit. The tests of this crate also run on processors for which the testkit's dependencies take long to compile.
+/// A file of the testkit. The testkit itself is no dependency of this crate's tests: they also run on 64-bit ARM, for which its
+/// many dependencies would have to be compiled.
 #[path = "../../../../../tests/src/skips.rs"]
 #[allow(unreachable_pub)]
 mod skips;
