@@ -16,7 +16,7 @@ use cosurf_scene::{Camera, SceneError, SparsePoint, atomic, files};
 use serde::{Deserialize, Serialize};
 use tracing::debug_span;
 
-const FORMAT: &str = "cosurf checkpoint 3";
+const FORMAT: &str = "cosurf checkpoint 4";
 /// Folder of the checkpoint in the output folder.
 const FOLDER: &str = "checkpoint";
 /// A fast compression level. The numbers hardly compress, and training waits until the file is written.

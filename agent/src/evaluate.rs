@@ -1,7 +1,8 @@
 //! Scores of a model on held-out pictures.
 
 use anyhow::Result;
-use cosurf_engine::Rendering;
+use cosurf_engine::backend::TargetRgb;
+use cosurf_engine::{Rendering, aligned};
 use cosurf_scene::{Camera, Shrinking, View, mask, metrics};
 use serde::Serialize;
 use tracing::info_span;
@@ -62,14 +63,15 @@ pub fn scratch_bytes(views: &[View], max_size_px: u32, shrinking: Shrinking) -> 
 }
 
 /// Renders each view with a long side of at most `max_size_px`, and compares the rendering with the pixels of the view's
-/// picture that count.
-/// Rendered colours are first clamped to 0..=1, as they are in a picture file. Fails if a picture cannot be read or
-/// rendered.
+/// picture that count. With an `extent`, which is that of the scene in world units, each camera is first aligned with the model:
+/// for models whose poses were learnt. Rendered colours are first clamped to 0..=1, as they are in a picture file. Fails if a
+/// picture cannot be read or rendered.
 pub fn score(
     mut render: impl FnMut(&Camera) -> Result<Rendering>,
     views: &[View],
     max_size_px: u32,
     shrinking: Shrinking,
+    extent: Option<f64>,
 ) -> Result<Score> {
     let _span = info_span!("evaluate", views = views.len()).entered();
     let scores = views
@@ -77,8 +79,14 @@ pub fn score(
         .map(|view| {
             let size_px = view.camera.fitted_size(max_size_px);
             // The model first: how much of it fits depends on what the process holds already.
-            let mut rendering = render(&view.camera.resized(size_px))?;
+            let camera = view.camera.resized(size_px);
+            let mut rendering = render(&camera)?;
             let photograph = mask::read(&view.path, view.mask.as_ref(), size_px, shrinking)?;
+            if let Some(extent) = extent {
+                let rgb = TargetRgb::Bytes(&photograph.rgb);
+                let found = aligned(&camera, rgb, extent, &mut render)?;
+                rendering = render(&found)?;
+            }
             rendering.rgb.iter_mut().for_each(|v| *v = v.clamp(0.0, 1.0));
             let [psnr, ssim] = metrics::scores(&rendering.rgb, &photograph);
             Ok(ViewScore {

@@ -21,7 +21,7 @@
 //!
 //! ```no_run
 //! use cosurf_agent::session::{Session, Split, TrainPlan};
-//! use cosurf_engine::{DeviceChoice, SurfaceSettings};
+//! use cosurf_engine::{DeviceChoice, PoseChoice, SurfaceSettings};
 //!
 //! let plan = TrainPlan {
 //!     data: "flight-7".into(),
@@ -35,6 +35,7 @@
 //!     surface: Some(SurfaceSettings::default()),
 //!     prune: None,
 //!     exposure: false,
+//!     poses: PoseChoice::Auto,
 //!     init: None,
 //!     one_of_many: false,
 //! };

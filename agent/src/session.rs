@@ -10,8 +10,8 @@ use cosurf_engine::budget::{Budget, BudgetError, DRIVER_BYTES, Wish};
 use cosurf_engine::init::{Form, splats_from_points};
 use cosurf_engine::train::StepOutcome;
 use cosurf_engine::{
-    AnyBackend, Backend, Device, DeviceChoice, DeviceLost, Example, Neighbours, PruneSettings, Schedule,
-    SurfaceSettings, TrainSettings, Trainer, TrainingViews,
+    AnyBackend, Backend, Device, DeviceChoice, DeviceLost, Example, Neighbours, PoseChoice, PruneSettings,
+    Schedule, SurfaceSettings, TrainSettings, Trainer, TrainingViews,
 };
 use cosurf_scene::bytes::format_bytes;
 use cosurf_scene::cache::Source;
@@ -76,6 +76,9 @@ pub struct TrainPlan {
     pub prune: Option<PruneSettings>,
     /// Whether to learn an exposure for each picture.
     pub exposure: bool,
+    /// Whether to learn the poses of the pictures. With [`PoseChoice::Auto`] they are taken as exact without the surface
+    /// losses, and if the memory is too small.
+    pub poses: PoseChoice,
     /// A file of splats, PLY or SPZ, to start from, for example an earlier model of the ground in the pictures; `None`
     /// starts from the sparse points of the dataset, or from random ones. If the dataset has no sparse points, the centres
     /// of these splats stand in for them.
@@ -211,6 +214,7 @@ impl Session {
             surface: plan.surface,
             prune: plan.prune,
             exposure: plan.exposure,
+            poses: sizes.poses,
             observers_min: if plan.one_of_many { 1 } else { 2 },
             splats_max,
             seed: plan.seed,
@@ -448,6 +452,7 @@ fn prepare(plan: &TrainPlan, data: &Dataset) -> Result<(Sizes, AnyBackend)> {
 struct Sizes {
     budget: Budget,
     sources: Vec<Source>,
+    poses: PoseChoice,
 }
 
 impl Sizes {
@@ -457,8 +462,39 @@ impl Sizes {
     }
 }
 
-/// Finds the largest of the sizes in [`SIZE_STEPS`] with which the training fits into the memory.
+/// As [`plan_sizes_as_told`]. If the memory is short, the choice whether to learn poses takes its share from the picture
+/// cache, so that the model has the same splats; if there is too little of it, poses are taken as exact.
 fn plan_sizes(plan: &TrainPlan, memory_bytes: u64, device: &Device, data: &Dataset) -> Result<Sizes> {
+    let with = |poses| {
+        let plan = TrainPlan { poses, ..plan.clone() };
+        plan_sizes_as_told(&plan, memory_bytes, device, data)
+    };
+    if plan.poses != PoseChoice::Auto {
+        return with(plan.poses);
+    }
+    if plan.surface.is_some()
+        && let Ok(sizes) = with(PoseChoice::Auto)
+        && sizes.is_unreduced()
+    {
+        return Ok(sizes);
+    }
+    let mut sizes = with(PoseChoice::Fixed)?;
+    if plan.surface.is_none() {
+        return Ok(sizes);
+    }
+    let spare = sizes.budget.cache_bytes - PictureCache::least_bytes(&sizes.sources);
+    let needed = aligning_bytes(plan, sizes.budget.capacity.size_px);
+    if spare >= needed {
+        sizes.budget.cache_bytes -= needed;
+        sizes.poses = PoseChoice::Auto;
+    } else {
+        sizes.budget.given_up.push("poses are taken as exact, not looked at".to_owned());
+    }
+    Ok(sizes)
+}
+
+/// Finds the largest of the sizes in [`SIZE_STEPS`] with which the training fits into the memory.
+fn plan_sizes_as_told(plan: &TrainPlan, memory_bytes: u64, device: &Device, data: &Dataset) -> Result<Sizes> {
     let widest = data.views.iter().flat_map(|view| view.camera.size_px).max().unwrap_or(1);
     let wanted = plan.max_size_px.min(widest);
     let mut least: Option<BudgetError> = None;
@@ -527,7 +563,7 @@ fn plan_size(
         let sources: Vec<Source> =
             data.views.iter().map(|view| Source::of(view, long_side_px, shrinking)).collect();
         let budget = Budget::plan(&Wish { memory_bytes, ..wish(plan, device, data, &sources)? });
-        Ok(budget.map(|budget| Sizes { budget, sources }))
+        Ok(budget.map(|budget| Sizes { budget, sources, poses: plan.poses }))
     };
     let exact = planned(Shrinking::AfterDecoding)?;
     if exact.as_ref().is_ok_and(Sizes::is_unreduced) {
@@ -544,6 +580,13 @@ fn plan_size(
             sizes
         }),
     })
+}
+
+/// Bytes that the alignment of a picture takes: its rendering of 8 numbers for each pixel, and blocks of 3 numbers for each 4
+/// pixels at least.
+fn aligning_bytes(plan: &TrainPlan, size_px: [u32; 2]) -> u64 {
+    let pixels = u64::from(size_px[0]) * u64::from(size_px[1]);
+    if plan.poses == PoseChoice::Fixed { 0 } else { pixels * (8 * 4 + 3) }
 }
 
 /// Upper bound on the bytes of the sparse points.
@@ -568,10 +611,16 @@ fn wish(plan: &TrainPlan, device: &Device, data: &Dataset, sources: &[Source]) -
         size_px,
         sh_degree: SH_DEGREE,
         binding_bytes_max: device.binding_bytes_max(),
-        channels: if plan.surface.is_some() { Channels::Geometry } else { Channels::Color },
+        channels: if plan.surface.is_some() || plan.poses == PoseChoice::Learn {
+            Channels::Geometry
+        } else {
+            Channels::Color
+        },
         splats: (pixels / pixels_per_splat).max(points) as usize,
         cache_bytes_most: PictureCache::most_bytes(sources),
         cache_bytes_least: PictureCache::least_bytes(sources),
-        loading_bytes: PictureCache::scratch_bytes(sources)? + points_bytes(data),
+        loading_bytes: PictureCache::scratch_bytes(sources)?
+            + points_bytes(data)
+            + aligning_bytes(plan, size_px),
     })
 }

@@ -103,7 +103,9 @@ pub fn fly(order: &MissionOrder, around: &Surroundings) -> Result<Flown, Mission
     dataset.points = Vec::new(); // only agents need them
     let Gathered { global, board, edges } = gather(&last, around, &plan)?;
     phases.end("training and merging");
-    let scene = Scene { dataset: dataset.into_frame(&frame), frame };
+    let dataset = dataset.into_frame(&frame);
+    let aligned_extent = board.iter().any(Status::has_learnt_poses).then(|| dataset.extent());
+    let scene = Scene { dataset, frame, aligned_extent };
     let relief = mesh(order, around, &scene)?;
     phases.end("mesh");
     let scored = judge(order, around, &scene, &plan, &yardsticks, &relief);
@@ -299,6 +301,8 @@ fn first_failure(plan: &Plan, board: &[Status]) -> MissionError {
 struct Scene {
     dataset: Dataset,
     frame: LocalFrame,
+    /// Extent of the scene, world units, if agents have learnt poses: then views are aligned before they are scored.
+    aligned_extent: Option<f64>,
 }
 
 impl Scene {
@@ -368,7 +372,7 @@ fn judge(
 ) -> Result<Evaluation, MissionError> {
     let views = scene.held_out(plan);
     let model = scene.model(global_ply(&order.out), order, around)?;
-    let mut judge = Judge::new(model, order.settings.max_size_px, yardsticks);
+    let mut judge = Judge::new(model, order.settings.max_size_px, yardsticks).aligning(scene.aligned_extent);
     let mesh = match relief {
         Relief::Made { caster, .. } => Some(caster),
         Relief::Missing(_) => None,
@@ -391,7 +395,7 @@ fn judge_joined(
     write_joined(&lowest_folders(&order.out, plan), &file, &scene.frame)?;
     let without = Yardsticks { lpips: None, truth: None };
     let model = scene.model(file, order, around)?;
-    let mut judge = Judge::new(model, order.settings.max_size_px, &without);
+    let mut judge = Judge::new(model, order.settings.max_size_px, &without).aligning(scene.aligned_extent);
     Ok(Quality::mean(&judge.qualities(&scene.held_out(plan))?))
 }
 

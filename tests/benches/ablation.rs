@@ -12,7 +12,7 @@ use anyhow::{Context, Result};
 use clap::Parser;
 use cosurf_agent::session::{Session, Split, TrainPlan};
 use cosurf_aggregator::evaluate::{EvalOrder, EvalReport, Spread, evaluate_model};
-use cosurf_engine::{DeviceChoice, PruneSettings, SurfaceSettings};
+use cosurf_engine::{DeviceChoice, PoseChoice, PruneSettings, SurfaceSettings};
 use cosurf_scene::{Camera, LocalFrame, Mesh, Splats, ply};
 use cosurf_tests::datasets::{default_dataset, true_surface};
 use cosurf_tests::results::{Better, Column, Measurement};
@@ -119,6 +119,7 @@ fn train(arguments: &Arguments, data: &Path, variant: &Variant) -> Result<Traine
         surface: variant.surface,
         prune: variant.prune,
         exposure: false,
+        poses: PoseChoice::Fixed,
         init: None,
         one_of_many: false,
     };
@@ -144,6 +145,7 @@ fn order(arguments: &Arguments, data: &Path, model: &Path) -> EvalOrder {
         truth: None,
         eval_every: EVAL_EVERY,
         max_size_px: Some(arguments.max_size),
+        align: false,
         threads: threads(),
     }
 }

@@ -135,6 +135,7 @@ impl NormalErrors {
             truth: None,
             eval_every: EVERY,
             max_size_px,
+            align: false,
             threads: THREADS,
         };
         Ok(Self { order, folder })

@@ -20,6 +20,9 @@ pub(super) struct EvalArgs {
     /// Score every n-th view by sorted name; use the same N as in training, so that only held-out views are scored
     #[arg(long, value_name = "N", default_value_t = 8, value_parser = clap::value_parser!(u32).range(1..))]
     eval_every: u32,
+    /// Align each view with the model first, for a model whose poses were learnt
+    #[arg(long)]
+    align: bool,
     #[command(flatten)]
     viewing: ViewingArgs,
     #[command(flatten)]
@@ -41,8 +44,9 @@ pub(super) fn run(args: &EvalArgs) -> Result<()> {
     let cameras: Vec<_> = views.iter().map(|view| view.camera.fitted(max_size_px)).collect();
     let beside_bytes = evaluate::scratch_bytes(&views, max_size_px, Shrinking::AfterDecoding)?;
     let mut model = args.viewing.open(&args.model, &frame, &cameras, args.common.threads(), beside_bytes)?;
+    let extent = args.align.then(|| dataset.extent());
     let render = |camera: &Camera| viewing::render(&mut model, camera);
-    let score = evaluate::score(render, &views, max_size_px, Shrinking::AfterDecoding)?;
+    let score = evaluate::score(render, &views, max_size_px, Shrinking::AfterDecoding, extent)?;
     let mut stdout = io::stdout().lock();
     if args.common.json {
         writeln!(stdout, "{}", serde_json::to_string(&score)?)?;

@@ -443,6 +443,7 @@ fn train_plan(config: &AgentConfig) -> TrainPlan {
         surface: (!config.color_only).then(SurfaceSettings::default),
         prune: (ratio > 0.0).then(|| PruneSettings { ratio, ..PruneSettings::default() }),
         exposure: config.exposure,
+        poses: config.poses,
         // The word `global` names a file that is missing until the first global model has arrived. While it is missing,
         // training starts from the sparse cloud. Any other missing file stays in the plan, so that it is reported as an
         // error.

@@ -12,10 +12,10 @@ use cosurf_agent::session::{Session, Split, TrainPlan};
 use cosurf_agent::{evaluate, outputs};
 use cosurf_contract::{AgentEvent, Curve, DEFAULT_STEPS, ReadyReport, Share, TrainReport, counted, usage};
 use cosurf_engine::{
-    Backend, DeviceChoice, DeviceLost, PruneScore, PruneSettings, Renderer, SurfaceSettings,
+    Backend, DeviceChoice, DeviceLost, PoseChoice, PruneScore, PruneSettings, Renderer, SurfaceSettings,
 };
 use cosurf_scene::bytes::{format_bytes, parse_bytes};
-use cosurf_scene::{Dataset, FolderLock, Splats, check_space, files, model};
+use cosurf_scene::{Camera, Dataset, FolderLock, Splats, check_space, files, model};
 use tracing::info_span;
 
 use super::arguments::{Common, DeviceArgs};
@@ -76,6 +76,10 @@ pub(super) struct TrainArgs {
     /// Learn an exposure for each picture, for cameras with automatic exposure
     #[arg(long)]
     exposure: bool,
+    /// Poses of the pictures: `fixed` takes them as exact, `learn` corrects them while it trains, `auto` does so if they turn
+    /// out not to be exact
+    #[arg(long, value_name = "WAY", default_value_t)]
+    poses: PoseChoice,
     /// Start from this earlier model of the ground in the pictures, a PLY or SPZ file, instead of from the sparse cloud. The
     /// word `global` stands for the global model that was received earlier and stored in the folder of --out. A training that
     /// resumes does not start from it again
@@ -129,6 +133,7 @@ pub(super) fn run(args: &TrainArgs) -> Result<()> {
         surface: (!args.color_only).then(SurfaceSettings::default),
         prune: args.prune(),
         exposure: args.exposure,
+        poses: args.poses,
         init: resolve_init(args.init.as_ref(), &args.out),
         one_of_many: false,
     };
@@ -300,6 +305,8 @@ fn finish(
     let (frame, cameras, held_out, size_px) =
         (session.frame(), session.cameras().to_vec(), session.held_out().to_vec(), session.size_px());
     let device = session.trainer().backend().device();
+    let extent = session.trainer().settings().extent;
+    let poses = session.trainer().poses_found().filter(|found| found.learnt);
     // Frees the optimiser's memory before the renderer allocates its own.
     let splats: Splats = session.into_splats()?;
     if splats.is_empty() {
@@ -310,7 +317,8 @@ fn finish(
     }
     let mut renderer = Renderer::new(&splats, plan.threads);
     let long_side_px = size_px[0].max(size_px[1]);
-    let score = evaluate::score(|camera| Ok(renderer.render(camera)), &held_out, long_side_px, shrinking)?;
+    let render = |camera: &Camera| Ok(renderer.render(camera));
+    let score = evaluate::score(render, &held_out, long_side_px, shrinking, poses.map(|_| extent))?;
     drop(renderer);
     let report = TrainReport {
         steps: plan.steps,
@@ -326,6 +334,7 @@ fn finish(
         views: cameras.len(),
         held_out: held_out.len(),
         size_px,
+        poses_moved_px: poses.map(|found| found.median_px),
         given_up,
         curve: curve.clone(),
     };
@@ -359,6 +368,12 @@ fn print_report(report: &TrainReport, out: &Path) -> Result<()> {
             stdout,
             "{}: PSNR {psnr:.2} dB, SSIM {ssim:.4}",
             counted(report.held_out as u64, "held-out view")
+        )?;
+    }
+    if let Some(moved_px) = report.poses_moved_px {
+        writeln!(
+            stdout,
+            "the poses were not exact and have been corrected: half of the pictures moved by {moved_px:.1} px or more"
         )?;
     }
     for given_up in &report.given_up {

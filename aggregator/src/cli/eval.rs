@@ -32,6 +32,9 @@ pub(crate) struct EvalArgs {
     /// Shrink pictures until their long side is at most this many pixels [default: full size]
     #[arg(long, value_name = "PX", value_parser = clap::value_parser!(u32).range(16..))]
     max_size: Option<u32>,
+    /// Align each view with the model first, for a model whose poses were learnt
+    #[arg(long)]
+    align: bool,
     /// Print the figures as a line of JSON
     #[arg(long)]
     json: bool,
@@ -49,6 +52,7 @@ pub(crate) fn run(args: EvalArgs) -> Result<()> {
         truth: args.truth,
         eval_every: args.eval_every,
         max_size_px: args.max_size,
+        align: args.align,
         threads: available_parallelism().map_or(1, usize::from),
     })?;
     let text = if args.json { serde_json::to_string(&report)? + "\n" } else { table(&report) };

@@ -14,6 +14,7 @@ use cosurf_aggregator::report::{MissionReport, table};
 use cosurf_aggregator::station::PAGE_BYTES;
 use cosurf_city::CitySettings;
 use cosurf_contract::usage;
+use cosurf_engine::PoseChoice;
 use cosurf_link::BrokerAddress;
 use cosurf_scene::bytes::{format_bytes, parse_bytes};
 use cosurf_scene::{Dataset, FolderLock};
@@ -75,6 +76,10 @@ pub(crate) struct MissionArgs {
     /// Shrink pictures until their long side is at most this many pixels [default: full size; 512 if poses must be found]
     #[arg(long, value_name = "PX", value_parser = clap::value_parser!(u32).range(16..))]
     max_size: Option<u32>,
+    /// Poses of the pictures: `fixed` takes them as exact, `learn` corrects them while the agents train, `auto` does so if they
+    /// turn out not to be exact
+    #[arg(long, value_name = "WAY", default_value_t)]
+    poses: PoseChoice,
     /// Seed of every random choice; the same seed gives the same bytes
     #[arg(long, value_name = "S", default_value_t = 0, value_parser = clap::value_parser!(u64).range(..1 << 62))]
     seed: u64,
@@ -140,6 +145,7 @@ pub(crate) fn run(args: MissionArgs) -> Result<()> {
             rounds: args.rounds,
             memory_bytes: Some(args.memory),
             max_size_px,
+            poses: args.poses,
             seed: args.seed,
             eval_every: args.eval_every,
             compress_first: args.compress_first,

@@ -1,7 +1,8 @@
 //! Scores a model on photographs, and on the true surface if it is known. Only missions and users have
 //! photographs. The receiving service never has any, so it cannot score models.
 
-use cosurf_engine::{Rendering, ViewError, Views};
+use cosurf_engine::backend::TargetRgb;
+use cosurf_engine::{Rendering, ViewError, Views, aligned};
 use cosurf_scene::{Camera, Cast, Picture, Shrinking, View, mask, metrics};
 use tracing::debug_span;
 
@@ -13,6 +14,8 @@ pub(crate) struct Judge<'a> {
     model: Views,
     max_size_px: u32,
     yardsticks: &'a Yardsticks,
+    /// See [`Self::aligning`].
+    extent: Option<f64>,
 }
 
 /// A photograph and the model's rendering from the same camera.
@@ -31,7 +34,13 @@ impl<'a> Judge<'a> {
     /// Pictures are shrunk until their long side is at most `max_size_px`; `None` keeps their size.
     pub(crate) fn new(model: Views, max_size_px: Option<u32>, yardsticks: &'a Yardsticks) -> Self {
         let max_size_px = max_size_px.unwrap_or(u32::MAX);
-        Self { model, max_size_px, yardsticks }
+        Self { model, max_size_px, yardsticks, extent: None }
+    }
+
+    /// With the extent of the scene, world units, each camera is first aligned with the model: for models whose poses were
+    /// learnt.
+    pub(crate) fn aligning(self, extent: Option<f64>) -> Self {
+        Self { extent, ..self }
     }
 
     /// Tells which views will be asked for next.
@@ -62,11 +71,16 @@ impl<'a> Judge<'a> {
 
     /// Reads the photograph of a view, and renders the model from the same camera.
     pub(crate) fn compare(&mut self, view: &View) -> Result<Comparison, ViewError> {
-        let camera = view.camera.fitted(self.max_size_px);
+        let mut camera = view.camera.fitted(self.max_size_px);
         // The model first: how much of it fits depends on what the process holds already.
         let mut rendering = self.model.render(&camera)?;
         let mask = view.mask.as_ref();
         let photograph = mask::read(&view.path, mask, camera.size_px, Shrinking::AfterDecoding)?;
+        if let Some(extent) = self.extent {
+            let rgb = TargetRgb::Bytes(&photograph.rgb);
+            camera = aligned(&camera, rgb, extent, |camera| self.model.render(camera))?;
+            rendering = self.model.render(&camera)?;
+        }
         rendering.rgb.iter_mut().for_each(|value| *value = value.clamp(0.0, 1.0));
         let truth = self.yardsticks.truth.as_ref().map(|caster| caster.cast_areas(&camera));
         Ok(Comparison { camera, photograph, rendering, truth })

@@ -27,6 +27,8 @@ pub struct EvalOrder {
     pub eval_every: u32,
     /// Limit on the longer side of the compared pictures, px; `None` compares at full size.
     pub max_size_px: Option<u32>,
+    /// Whether each view is first aligned with the model, for models whose poses were learnt.
+    pub align: bool,
     /// Number of threads that render, at least 1.
     pub threads: usize,
 }
@@ -84,7 +86,8 @@ pub fn evaluate_model(order: &EvalOrder) -> Result<EvalReport, EvalError> {
     let model =
         Views::open(ply::of_model(&order.model)?, &frame, Place::On(DeviceChoice::Cpu), order.threads)?;
     let splats = model.splats();
-    let mut judge = Judge::new(model, order.max_size_px, &yardsticks);
+    let extent = order.align.then(|| dataset.extent());
+    let mut judge = Judge::new(model, order.max_size_px, &yardsticks).aligning(extent);
     let (_, held_out) = dataset.split(order.eval_every);
     let score = |view: &View| Ok(ViewQuality { name: view.name.clone(), quality: judge.quality(view)? });
     let views =
@@ -154,6 +157,7 @@ mod tests {
             truth: None,
             eval_every: 4,
             max_size_px: Some(32),
+            align: false,
             threads: 1,
         }
     }

@@ -48,6 +48,11 @@ pub(crate) struct Status {
 }
 
 impl Status {
+    /// Whether the agent learnt the poses of its pictures, because they were not exact.
+    pub(crate) fn has_learnt_poses(&self) -> bool {
+        self.training.as_ref().is_some_and(|training| training.poses_moved_px.is_some())
+    }
+
     /// Updates the status with an event. Returns a line to show to the user if the event is unusual.
     pub(crate) fn take(&mut self, event: &ProcessEventKind) -> Option<String> {
         match event {

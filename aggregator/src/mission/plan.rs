@@ -8,6 +8,7 @@ use std::ops::Range;
 use std::path::{Path, PathBuf};
 
 use cosurf_contract::{AgentConfig, DEFAULT_FLIGHTS_MAX};
+use cosurf_engine::PoseChoice;
 use cosurf_link::BrokerAddress;
 use cosurf_scene::{Dataset, Ground, SceneError, atomic, files, footprints};
 use cosurf_wire::{DeviceId, IdError, SiteId};
@@ -38,6 +39,9 @@ pub struct Settings {
     pub memory_bytes: Option<u64>,
     /// Limit on the long side of the training pictures, px; `None` for their full size.
     pub max_size_px: Option<u32>,
+    /// Whether the agents learn the poses of their pictures.
+    #[serde(default)]
+    pub poses: PoseChoice,
     /// Seed of every random choice.
     pub seed: u64,
     /// Every n-th view by name is held out; 0 holds out none.
@@ -223,6 +227,7 @@ impl Plan {
             color_only: false,
             prune: None,
             exposure: false,
+            poses: settings.poses,
             init,
             frame: None,
             key: None,
@@ -319,6 +324,7 @@ mod tests {
             rounds: 1,
             memory_bytes: Some(1 << 30),
             max_size_px: None,
+            poses: PoseChoice::Auto,
             seed: 7,
             eval_every: 8,
             compress_first: false,

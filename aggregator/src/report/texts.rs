@@ -78,6 +78,13 @@ pub(crate) fn remarks(report: &MissionReport) -> Vec<String> {
         }
         let given_up = agent.training.iter().flat_map(|training| &training.given_up);
         remarks.extend(given_up.map(|sentence| format!("{device}: {sentence}")));
+        let moved_px = agent.training.as_ref().and_then(|training| training.poses_moved_px);
+        remarks.extend(moved_px.map(|moved_px| {
+            format!(
+                "{device}: the poses were not exact and have been corrected; half of the pictures moved by {moved_px:.1} px or \
+                 more, and scores are those at poses found for each view"
+            )
+        }));
     }
     let merges = report.edges.iter().map(|edge| &edge.merging).chain([&report.whole.merging]);
     merges.flatten().for_each(|merging| remarks.extend(merge_remarks(merging)));
@@ -148,6 +155,7 @@ pub(crate) mod tests {
             views: 10,
             held_out: 2,
             size_px: [320, 240],
+            poses_moved_px: Some(0.94),
             given_up: vec!["pictures were shrunk to 160 px".into()],
             curve: curve.clone(),
         };
@@ -226,9 +234,10 @@ pub(crate) mod tests {
     #[test]
     fn remarks_list_failures_restarts_and_what_was_given_up() {
         let remarks = remarks(&example());
-        assert_eq!(remarks.len(), 3, "{remarks:?}");
+        assert_eq!(remarks.len(), 4, "{remarks:?}");
         assert!(remarks[0].contains("died once") && remarks[1].contains("shrunk"), "{remarks:?}");
-        assert!(remarks[2].starts_with("agent-2 failed"), "{remarks:?}");
+        assert!(remarks[2].contains("moved by 0.9 px"), "{remarks:?}");
+        assert!(remarks[3].starts_with("agent-2 failed"), "{remarks:?}");
     }
 
     #[test]

@@ -7,7 +7,7 @@ mod range;
 use std::num::NonZeroU32;
 use std::path::PathBuf;
 
-use cosurf_engine::DeviceChoice;
+use cosurf_engine::{DeviceChoice, PoseChoice};
 use cosurf_link::serial::DEFAULT_BAUD;
 use cosurf_link::{BrokerAddress, TlsFiles};
 use cosurf_wire::{DeviceId, FrameId, SiteId};
@@ -120,6 +120,10 @@ pub struct AgentConfig {
     /// Learn an exposure for each picture, for cameras with automatic exposure.
     #[serde(default)]
     pub exposure: bool,
+    /// `poses`: `fixed` takes the poses of the pictures as exact, `learn` corrects them while it trains, `auto` does so if
+    /// they turn out not to be exact; `auto` if absent.
+    #[serde(default, skip_serializing_if = "is_auto")]
+    pub poses: PoseChoice,
     /// A PLY of splats to start from: a model of the ground in the pictures, for example `global.ply` of the last
     /// flight. The word `global` stands for the global model that `out` received earlier. If absent, training starts
     /// from the dataset's sparse points.
@@ -226,6 +230,10 @@ fn default_steps() -> u32 {
 
 fn default_eval_every() -> u32 {
     8
+}
+
+fn is_auto(poses: &PoseChoice) -> bool {
+    *poses == PoseChoice::Auto
 }
 
 fn default_flights_max() -> usize {

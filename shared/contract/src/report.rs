@@ -286,6 +286,9 @@ pub struct TrainReport {
     pub held_out: usize,
     /// Largest width and largest height of the training pictures, px.
     pub size_px: [u32; 2],
+    /// How far the median picture has moved, px, because its poses were learnt; `None` if they were taken as exact.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub poses_moved_px: Option<f64>,
     /// The reductions that the memory limit forced, one line of text each; empty if there were none.
     pub given_up: Vec<String>,
     /// The training curve, over all runs.

@@ -9,6 +9,7 @@
 
 #![cfg_attr(not(test), warn(clippy::disallowed_methods))]
 
+mod align;
 mod any;
 pub mod backend;
 mod base;
@@ -26,6 +27,7 @@ mod layout;
 pub mod nearest;
 pub mod neighbours;
 mod plane;
+mod poses;
 pub mod prune;
 mod random;
 mod refine;
@@ -45,6 +47,7 @@ pub use cpu::CpuBackend;
 pub use device::{Device, DeviceChoice, DeviceError, DeviceLost};
 pub use distill::{DistillSettings, Distiller, Lesson, StudentRates};
 pub use neighbours::Neighbours;
+pub use poses::{PoseChoice, PosesFound, aligned};
 pub use prune::PruneScore;
 pub use render::Renderer;
 pub use schedule::Schedule;

@@ -46,6 +46,15 @@ const EXPOSURE_FROM: f64 = 1000.0 / 30_000.0;
 /// Shorter runs train exposures with a higher rate: it is multiplied by `REFERENCE_STEPS / steps` to this power.
 const EXPOSURE_HASTE: f64 = 0.41;
 
+/// Share of the steps before poses are measured: until then, splats grow from points to a picture.
+const POSES_FROM: f64 = 0.06;
+/// Share of the steps after which it is known at the earliest whether poses are exact.
+const POSES_KNOWN: f64 = 0.12;
+/// Share of the steps after which poses are learnt in fine blocks.
+const POSES_FINE: f64 = 0.3;
+/// Share of the steps after which poses stay as they are.
+const POSES_UNTIL: f64 = 0.85;
+
 /// Runs with fewer steps per view than this do not look for unobserved splats, which costs half a step per view.
 const OBSERVED_STEPS_PER_VIEW: usize = 10;
 
@@ -133,6 +142,15 @@ impl Schedule {
     pub fn surface_ramp(&self, step: u32) -> Option<f32> {
         let since = step.checked_sub(self.surface_from).filter(|_| step < self.surface_until)?;
         Some((f64::from(since) / f64::from(self.steps.max(1))) as f32)
+    }
+
+    /// The first steps (counted from 0) in which poses of `views` views are measured, in which it is known whether they are
+    /// exact, in which they are learnt in fine blocks of pixels, and in which they stay as they are.
+    pub(crate) fn pose_steps(&self, views: usize) -> [u32; 4] {
+        let at = |share: f64| (f64::from(self.steps) * share) as u32;
+        let looked = at(POSES_FROM).saturating_add(u32::try_from(views).unwrap_or(u32::MAX));
+        let known = looked.clamp(at(POSES_KNOWN), at(POSES_FINE));
+        [at(POSES_FROM), known, at(POSES_FINE).max(known), at(POSES_UNTIL)]
     }
 
     /// Whether exposures are trained at a step (counted from 0).

@@ -9,6 +9,7 @@ use crate::backend::{
 };
 use crate::exposure::Exposures;
 use crate::neighbours::Neighbours;
+use crate::poses::{PoseChoice, Poses, PosesFound};
 use crate::prune::{self, PruneScore};
 use crate::random::{Purpose, Random};
 use crate::refine::{RefineLimits, refine};
@@ -100,6 +101,8 @@ pub struct TrainSettings {
     pub prune: Option<PruneSettings>,
     /// Whether to train an exposure for each photograph.
     pub exposure: bool,
+    /// Whether to learn the poses of the photographs.
+    pub poses: PoseChoice,
     /// Splats that are observed by fewer views than this are removed (PGSR: 2). It may be 1 if this model is one of
     /// several, because views of other models may observe the same splats.
     pub observers_min: u32,
@@ -125,7 +128,7 @@ pub struct StepOutcome {
 /// ```
 /// use cosurf_engine::backend::{Channels, TargetRgb};
 /// use cosurf_engine::{
-///     Backend, Capacity, CpuBackend, Example, Neighbours, Schedule, TrainSettings, Trainer, TrainingViews,
+///     Backend, Capacity, CpuBackend, Example, Neighbours, PoseChoice, Schedule, TrainSettings, Trainer, TrainingViews,
 /// };
 /// use cosurf_scene::{Camera, Pose, Splats};
 /// use glam::{DVec2, DVec3};
@@ -153,6 +156,7 @@ pub struct StepOutcome {
 ///     surface: None,
 ///     prune: None,
 ///     exposure: false,
+///     poses: PoseChoice::Fixed,
 ///     observers_min: 1,
 ///     splats_max: 25,
 ///     seed: 1,
@@ -172,6 +176,7 @@ pub struct Trainer<B> {
     settings: TrainSettings,
     views: TrainingViews,
     exposures: Option<Exposures>,
+    poses: Option<Poses>,
     steps_done: u32,
     splats_at_start: usize,
 }
@@ -192,8 +197,9 @@ impl<B: Backend> Trainer<B> {
     pub fn new(backend: B, settings: TrainSettings, views: TrainingViews) -> Self {
         let haste = settings.schedule.exposure_haste();
         let exposures = settings.exposure.then(|| Exposures::new(views.cameras.len(), haste));
+        let poses = Poses::new(settings.poses, &settings.schedule, &views.cameras, settings.extent);
         let splats_at_start = backend.len();
-        Self { backend, settings, views, exposures, steps_done: 0, splats_at_start }
+        Self { backend, settings, views, exposures, poses, steps_done: 0, splats_at_start }
     }
 
     /// The settings of the training.
@@ -215,7 +221,8 @@ impl<B: Backend> Trainer<B> {
     /// Calls `visit` with all trained numbers, in pieces and in a fixed order. Stops at the first error.
     pub fn export<E>(&self, mut visit: impl FnMut(&[f32]) -> Result<(), E>) -> Result<(), E> {
         self.backend.export(&mut visit)?;
-        self.exposures.iter().try_for_each(|exposures| exposures.export(&mut visit))
+        self.exposures.iter().try_for_each(|exposures| exposures.export(&mut visit))?;
+        self.poses.iter().try_for_each(|poses| poses.export(&mut visit))
     }
 
     /// Resumes a training with the same settings. Calls `fill` with the pieces that [`Trainer::export`] visited, in the
@@ -227,7 +234,15 @@ impl<B: Backend> Trainer<B> {
     ) -> Result<(), E> {
         (self.steps_done, self.splats_at_start) = (progress.steps_done, progress.splats_at_start);
         self.backend.import(progress.splats, &mut fill)?;
-        self.exposures.iter_mut().try_for_each(|exposures| exposures.import(&mut fill))
+        self.exposures.iter_mut().try_for_each(|exposures| exposures.import(&mut fill))?;
+        self.poses
+            .iter_mut()
+            .try_for_each(|poses| poses.import(&mut self.views.cameras, progress.steps_done, &mut fill))
+    }
+
+    /// What is known about the poses so far; `None` if they are fixed or have not been looked at yet.
+    pub fn poses_found(&self) -> Option<PosesFound> {
+        self.poses.as_ref().and_then(|poses| poses.found(self.steps_done))
     }
 
     /// Whether all steps are done.
@@ -245,7 +260,7 @@ impl<B: Backend> Trainer<B> {
         self.backend
     }
 
-    /// Cameras of the photographs.
+    /// Cameras of the photographs, with the poses as they are now.
     pub fn cameras(&self) -> &[Camera] {
         &self.views.cameras
     }
@@ -276,7 +291,11 @@ impl<B: Backend> Trainer<B> {
         let _span = trace_span!("step", step, view = example.view).entered();
         let degree = schedule.sh_degree(step, sh_degree);
         let (weights, rates) = (self.weights(step), self.rates(step));
-        let channels = if weights.surface.is_some() { Channels::Geometry } else { Channels::Color };
+        if let Some(poses) = &mut self.poses {
+            poses.begin(&mut self.views.cameras, step);
+        }
+        let aligns = self.poses.as_ref().is_some_and(|poses| poses.aligns(step));
+        let channels = if weights.surface.is_some() || aligns { Channels::Geometry } else { Channels::Color };
         let (backend, cameras) = (&mut self.backend, &self.views.cameras);
         if let (Some(_), Some((neighbour, _))) = (weights.surface, example.neighbour) {
             backend.project(&cameras[neighbour], 0);
@@ -292,6 +311,11 @@ impl<B: Backend> Trainer<B> {
         backend.rasterize_backward();
         backend.project_backward();
         backend.adam(&rates);
+        if let (Some(poses), true) = (&mut self.poses, aligns) {
+            let rendering = self.backend.rendering();
+            let cameras = &mut self.views.cameras;
+            self.backend.with_threads(|| poses.update(cameras, example.view, &rendering, example.rgb, step));
+        }
         if let Some(exposures) = &mut self.exposures {
             exposures.update(example.view, &losses.color, schedule.trains_exposures(step));
         }

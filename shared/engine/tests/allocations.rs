@@ -12,8 +12,8 @@ use cosurf_engine::backend::{
     TeacherWeights,
 };
 use cosurf_engine::{
-    Backend, Capacity, CpuBackend, Example, Neighbours, Rendering, Schedule, SurfaceSettings, TrainSettings,
-    Trainer, TrainingViews,
+    Backend, Capacity, CpuBackend, Example, Neighbours, PoseChoice, Rendering, Schedule, SurfaceSettings,
+    TrainSettings, Trainer, TrainingViews,
 };
 use cosurf_scene::{Camera, Pose, SparsePoint, Splats};
 use glam::{DVec2, DVec3};
@@ -180,6 +180,7 @@ fn trainings_step_allocates_nothing(splats: &Splats, views: &[(Camera, Rendering
         surface: Some(SurfaceSettings::default()),
         prune: None,
         exposure: true,
+        poses: PoseChoice::Fixed,
         observers_min: 2,
         splats_max: splats.len(),
         seed: 3,

@@ -42,6 +42,7 @@ threads = 2
 color_only = true
 prune = 0.25
 exposure = true
+poses = "learn"
 init = "global"
 frame = "EPSG-2180"
 key = "drone-1.key"

@@ -257,7 +257,7 @@ impl Backend for CpuBackend {
     }
 
     fn rendering(&self) -> Rendering {
-        rendering::rendering(&self.image, self.seen_view())
+        self.pool.install(|| rendering::rendering(&self.image, self.seen_view()))
     }
 
     fn with_threads<R: Send>(&self, job: impl FnOnce() -> R + Send) -> R {

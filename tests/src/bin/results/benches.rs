@@ -95,6 +95,14 @@ pub(crate) fn merging(folder: &TempDir) -> Result<Results> {
     read_after(&mut pinned, "merging", folder)
 }
 
+/// Measures trainings with poses that are not exact, on Caliterra and on rendered Boruszyn.
+pub(crate) fn poses(folder: &TempDir) -> Result<Results> {
+    build()?;
+    of_datasets(&DATASETS[1..3], "poses", folder, |name, data, _| {
+        ours("poses", &["--data", text(data)?, "--name", name], folder)
+    })
+}
+
 /// Measures partial uploads of a trained model, for each dataset.
 pub(crate) fn layers(folder: &TempDir) -> Result<Results> {
     build()?;

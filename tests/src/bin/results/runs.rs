@@ -42,7 +42,7 @@ pub(crate) fn command_fault(stored: &Results) -> Option<String> {
 }
 
 /// All benches, the quickest first.
-pub(crate) const RUNS: [Run; 28] = [
+pub(crate) const RUNS: [Run; 29] = [
     Run {
         name: "sizes",
         about: "size of both programs",
@@ -201,6 +201,12 @@ pub(crate) const RUNS: [Run; 28] = [
         about: "the same for the built-in city",
         command: "cargo bench -p cosurf-tests --bench geometry -- --data CITY --max-size 320",
         measure: benches::geometry_city,
+    },
+    Run {
+        name: "poses",
+        about: "trainings whose poses are not exact",
+        command: "cargo bench -p cosurf-tests --bench poses -- --data DATA",
+        measure: benches::poses,
     },
     Run {
         name: "prune",

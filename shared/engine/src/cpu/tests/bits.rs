@@ -9,6 +9,7 @@ use crate::backend::{Backend, Channels, TargetRgb};
 use crate::budget::Capacity;
 use crate::cpu::backend::CpuBackend;
 use crate::neighbours::Neighbours;
+use crate::poses::PoseChoice;
 use crate::schedule::Schedule;
 use crate::simd::Isa;
 use crate::train::{Example, PruneSettings, SurfaceSettings, TrainSettings, Trainer, TrainingViews};
@@ -61,6 +62,7 @@ fn train(isa: Isa, threads: usize) -> Splats {
         surface: Some(SurfaceSettings::default()),
         prune: Some(PruneSettings::default()),
         exposure: true,
+        poses: PoseChoice::Fixed,
         observers_min: 2,
         splats_max,
         seed: 5,

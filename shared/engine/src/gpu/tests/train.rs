@@ -10,8 +10,8 @@ use crate::backend::{Backend, TargetRgb};
 use crate::cpu::tests::splats;
 use crate::random::{Purpose, Random};
 use crate::{
-    Example, Neighbours, PruneSettings, Renderer, Schedule, SurfaceSettings, TrainSettings, Trainer,
-    TrainingViews,
+    Example, Neighbours, PoseChoice, PruneSettings, Renderer, Schedule, SurfaceSettings, TrainSettings,
+    Trainer, TrainingViews,
 };
 
 /// Trains the model in `backend` on pictures of the model `truth`. Returns the trained model and its mean PSNR, dB.
@@ -30,6 +30,7 @@ fn train<B: Backend>(
         surface,
         prune,
         exposure: false,
+        poses: PoseChoice::Fixed,
         observers_min: 2,
         splats_max: backend.capacity(),
         seed: 5,
