@@ -37,9 +37,7 @@ impl Motion {
     /// The motion from one pose to another.
     pub(crate) fn between(from: &Pose, to: &Pose) -> Self {
         let turn = to.rotation * from.rotation.inverse();
-        // Of the two quaternions of a rotation, the one with the smaller angle.
-        let turn = if turn.w < 0.0 { -turn } else { turn };
-        Self { rotation: turn.to_scaled_axis(), translation: to.translation - turn * from.translation }
+        Self { rotation: scaled_axis(turn), translation: to.translation - turn * from.translation }
     }
 
     /// The pose after the motion.
@@ -65,6 +63,12 @@ impl Motion {
     }
 }
 
+/// Axis times angle, rad, of a rotation of at most half a turn.
+pub(crate) fn scaled_axis(turn: DQuat) -> DVec3 {
+    // Of the two quaternions of a rotation, the one with the smaller angle.
+    if turn.w < 0.0 { -turn } else { turn }.to_scaled_axis()
+}
+
 /// How exact a pose is before any alignment.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub(crate) struct Prior {
@@ -79,7 +83,8 @@ pub(crate) struct Prior {
 /// What one step of alignment found.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub(crate) struct Found {
-    /// The motion with which the rendering fits its photograph best, as far as one step tells: about two blocks at most.
+    /// The motion of one step towards the pose in which the rendering fits its photograph best. It moves the picture by at most
+    /// [`BLOCKS_MAX`].
     pub(crate) motion: Motion,
     /// How far the picture moves from the given pose to where this motion ends, root mean square over the picture, px.
     pub(crate) moved_px: f64,

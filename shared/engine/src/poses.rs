@@ -4,8 +4,9 @@
 //! If all cameras moved alike, splats could follow and no picture would change. So that the frame stays that of the given
 //! poses, the mean motion of all cameras and the growth of their distances are taken out again.
 //!
-//! Whether poses are exact shows at the beginning: the model follows all views together, and each view tells how far its
-//! picture lies beside it. Until that is known, no camera moves, so that exact poses give the same bits as fixed ones.
+//! Whether poses are exact shows in the first part of a training: the model is a compromise between all views, and for each
+//! view the shift between its photograph and its rendering is measured. Until all are measured, no camera moves, so that exact
+//! poses give the same bits as fixed ones.
 
 use std::fmt;
 use std::str::FromStr;
@@ -14,7 +15,7 @@ use cosurf_scene::{Camera, Pose};
 use glam::{DQuat, DVec3};
 use serde::{Deserialize, Serialize};
 
-use crate::align::{Found, MOTION, Motion, Prior, align};
+use crate::align::{Found, MOTION, Motion, Prior, align, scaled_axis};
 use crate::backend::{Rendering, TargetRgb};
 use crate::schedule::Schedule;
 
@@ -23,9 +24,9 @@ const ROTATION: f64 = 0.035;
 /// Standard deviation of given positions along each axis, as a share of the scene's extent.
 const TRANSLATION: f64 = 0.005;
 
-/// Poses are not exact if half of the views lie farther beside the model than [`BESIDE_MIN`], a share of the picture's
-/// long side, and motions explain more than [`EXPLAINED_MIN`] of the squared difference between pictures and model; or if
-/// they lie farther than [`BESIDE_SURE`]. Of exact poses, the first is 0.0005 to 0.0010, but up to 0.0022 if the model is
+/// Poses are not exact if the median shift between photograph and rendering is larger than [`BESIDE_MIN`], a share of the
+/// picture's long side, and explains more than [`EXPLAINED_MIN`] of their squared difference; or if the shift is larger than
+/// [`BESIDE_SURE`]. Of exact poses, the first is 0.0005 to 0.0010, but up to 0.0022 if the model is
 /// blurred (300 steps of gt_tiny), and the second is 0.003 to 0.021; with poses that are off by 0.2° they are 0.0026 to
 /// 0.0044 and 0.027 to 0.12 (Caliterra, Boruszyn, rendered Boruszyn, gt_tiny; 160 to 240 px).
 const BESIDE_MIN: f64 = 0.0012;
@@ -96,7 +97,8 @@ impl fmt::Display for PoseChoice {
 pub struct PosesFound {
     /// Whether they were learnt.
     pub learnt: bool,
-    /// How far the median view lay beside the model, px; if poses are learnt, how far its picture has moved.
+    /// Median over the views of the shift between photograph and rendering at the given pose, px; if poses are learnt, median
+    /// of how far the rendering has moved since.
     pub median_px: f64,
 }
 
@@ -153,8 +155,8 @@ struct View {
     given: Pose,
     /// Motion from the given pose: rotation, then translation. In f32, so that a checkpoint keeps all of it.
     motion: [f32; MOTION],
-    /// How far the picture lies beside the model at its given pose, and the share of the difference that this explains; 0 if not
-    /// known.
+    /// The shift between photograph and rendering at the given pose, and the share of their squared difference that it
+    /// explains; 0 if not measured.
     beside_px: f32,
     explained: f32,
     /// How far the picture has moved, px.
@@ -308,8 +310,7 @@ impl Poses {
     fn keep_frame(&self, cameras: &mut [Camera]) {
         let count = cameras.len() as f64;
         let turn = |given: &Pose, camera: &Camera| {
-            let turn = given.rotation.inverse() * camera.cam_from_world.rotation;
-            if turn.w < 0.0 { -turn } else { turn }.to_scaled_axis()
+            scaled_axis(given.rotation.inverse() * camera.cam_from_world.rotation)
         };
         let pairs = self.views.iter().zip(cameras.iter());
         let back = pairs.map(|(view, camera)| turn(&view.given, camera)).sum::<DVec3>() / count;
