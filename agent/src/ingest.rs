@@ -1,6 +1,6 @@
 //! From a folder of photographs to a dataset that can be trained on, in its place on the earth.
 //!
-//! COLMAP finds where the photographs were taken ([`stages`]), in a frame and a scale of its own. GPS and control points
+//! COLMAP finds where the photographs were taken ([`finding`]), in a frame and a scale of its own. GPS and control points
 //! tell where that frame lies ([`placing`]), and straighten it ([`adjustment`]); then the dataset is written in ENU of the
 //! site ([`publishing`]). Photographs whose poses another tool has found are only undistorted ([`given`]).
 //!
@@ -13,6 +13,7 @@ mod adjustment;
 mod colmap;
 mod control;
 mod error;
+mod finding;
 mod given;
 mod gps;
 mod lens;
@@ -39,20 +40,18 @@ use cosurf_scene::{Dataset, FolderLock, SceneError, files};
 
 use colmap::Colmap;
 pub use error::IngestError;
+use finding::{Found, find};
 use given::Given;
 use photographs::Photographs;
-use placing::{Places, up_of};
+use placing::Places;
 use plausible::missing_photographs;
 use publishing::Poses;
 use recipe::Recipe;
 use reconstruction::Reconstruction;
-use settling::settle;
 use stages::Stages;
 
 /// Folder of COLMAP's work in that of the dataset.
 const WORK: &str = ".ingest";
-/// Fewest photographs with a pose.
-const POSED_MIN: usize = 3;
 
 /// What to make of which photographs.
 #[derive(Clone, Debug)]
@@ -120,14 +119,7 @@ pub fn ingest(plan: &IngestPlan, tell: &mut dyn FnMut(AgentEvent)) -> Result<Ing
     let mut stages = Stages::new(&colmap, &work, recipe.key(), tell);
     stages.run(&recipe.features()?)?;
     stages.run(&recipe.matches()?)?;
-    let log = stages.log(IngestStage::Poses);
-    stages.run(&recipe.poses()?).map_err(|error| error.or_no_poses(count, &log))?;
-    let mut others = recipe.reconstructions(&log)?;
-    let mut its = others.swap_remove(best_of(&others, places.as_ref()));
-    if its.posed.len() < POSED_MIN {
-        return Err(IngestError::NoPoses { posed: its.posed.len(), photographs: count, log });
-    }
-    let placed = settle(&mut its, places.as_ref(), &mut |event| stages.tell(event))?;
+    let Found { its, placed, others, .. } = find(&recipe, &mut stages, places.as_ref(), count)?;
     stages.run(&recipe.undistorting(&its)?)?;
 
     masks::join(&work, &recipe.undistorted())?;
@@ -179,16 +171,6 @@ fn refuse_occupied(out: &Path, work: &Path) -> Result<(), IngestError> {
         Err(cause) => return Err(SceneError::io(out, cause).into()),
     };
     if is_ours || is_empty { Ok(()) } else { Err(IngestError::Occupied { folder: out.to_owned() }) }
-}
-
-/// Index of the reconstruction that most GPS agrees with, or else with most photographs.
-fn best_of(found: &[Reconstruction], places: Option<&Places>) -> usize {
-    let worth = |i: &usize| {
-        let its = &found[*i];
-        let placed = places.zip(up_of(its)).and_then(|(places, up)| places.place(its, &up).ok());
-        (placed.map_or(0, |placed| placed.agreeing), its.posed.len())
-    };
-    (0..found.len()).max_by_key(worth).unwrap_or(0)
 }
 
 /// Names and reasons of photographs without a pose in the chosen reconstruction.

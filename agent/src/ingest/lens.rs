@@ -7,6 +7,9 @@ const ROUNDS: usize = 20;
 /// Largest error of a ray, on the plane at distance 1.
 const ERROR_MAX: f64 = 1e-9;
 
+/// Pixels of cameras are square to 0.1 %. Focal lengths that differ by more are of poses that are wrong.
+const ASPECT_MAX: f64 = 1.05;
+
 /// A lens, as COLMAP's `src/colmap/sensor/models.h` and OpenCV define it.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub(super) struct Lens {
@@ -47,6 +50,14 @@ impl Lens {
         })
     }
 
+    /// Why no camera has such a lens; `None` if one may.
+    pub(super) fn fault(&self) -> Option<String> {
+        let DVec2 { x, y } = self.focal_px;
+        let is_square = (x / y).max(y / x) < ASPECT_MAX;
+        let reason = || format!("the focal length is {x:.0} pixels along x, but {y:.0} along y");
+        (!is_square).then(reason)
+    }
+
     /// The undistorted direction of a pixel, on the plane at distance 1; `None` if no direction leads there.
     pub(super) fn ray(&self, at_px: DVec2) -> Option<DVec2> {
         let wanted = (at_px - self.center_px) / self.focal_px;
@@ -84,6 +95,15 @@ impl Lens {
 mod tests {
     #![allow(clippy::unwrap_used)]
     use super::*;
+
+    #[test]
+    fn lenses_of_wrong_poses_are_noticed() {
+        let fault = |line: &str| Lens::parse(line).unwrap().1.fault();
+        assert_eq!(fault("1 OPENCV 400 300 343.1 343.3 200 150 -0.06 0.01 0.004 -0.005"), None);
+        // Of twelve photographs that COLMAP misunderstood; the lens has 350 pixels.
+        let fault = fault("1 OPENCV 400 300 929.68 743.09 200 150 -0.62 0.01 0 -0.004").unwrap();
+        assert_eq!(fault, "the focal length is 930 pixels along x, but 743 along y");
+    }
 
     #[test]
     fn rays_are_those_that_the_lens_bends_to_the_pixel() {

@@ -13,7 +13,7 @@ use super::adjustment::{KnownCenter, KnownPoint};
 use super::control::{SeenPoint, seen};
 use super::gps::geodetic;
 use super::photographs::Photographs;
-use super::plausible::{check_axes, check_place, gps_elsewhere};
+use super::plausible::{Contradiction, check_axes, check_place, gps_elsewhere};
 use super::reconstruction::{Posed, Reconstruction};
 
 /// GPS of the best receivers, RTK, is not better than this, metres.
@@ -37,6 +37,8 @@ pub(super) struct Placed {
     pub(super) left_out: Vec<(String, String)>,
     /// How many places of GPS, or how many control points without GPS, agree.
     pub(super) agreeing: usize,
+    /// How far the poses contradict the places.
+    pub(super) contradiction: Contradiction,
     /// What an adjustment can go by, in ENU of the site.
     pub(super) centers: Vec<KnownCenter>,
     pub(super) points: Vec<KnownPoint>,
@@ -87,6 +89,11 @@ impl Places {
         let wrong = photographs.iter().zip(&gps).zip(&fit.gps).filter(|(_, its)| !its.agrees);
         left_out
             .extend(wrong.map(|((i, place), _)| wrong_gps(&its.posed[*i].name, off_m(place, &similarity))));
+        let contradiction = Contradiction::of("places of GPS", &gps, &similarity).or(Contradiction::of(
+            "control points",
+            &control,
+            &similarity,
+        ));
         let judged = if gps.is_empty() { &fit.control } else { &fit.gps };
         let agreeing = judged.iter().filter(|its| its.agrees).count();
         let centers = photographs.into_iter().zip(&gps).zip(&fit.gps);
@@ -95,7 +102,15 @@ impl Places {
             .collect();
         let points = seen.control.into_iter().zip(&fit.control);
         let points = points.map(|(point, its)| known_point(point, its.weight, &similarity)).collect();
-        Ok(Placed { similarity, georeference: Some(georeference), left_out, agreeing, centers, points })
+        Ok(Placed {
+            similarity,
+            georeference: Some(georeference),
+            left_out,
+            agreeing,
+            contradiction,
+            centers,
+            points,
+        })
     }
 
     /// GPS of the photographs with poses, with their indices.
@@ -171,6 +186,7 @@ pub(super) fn upright(up: &Up) -> Placed {
         georeference: None,
         left_out: Vec::new(),
         agreeing: 0,
+        contradiction: Contradiction::NONE,
         centers: Vec::new(),
         points: Vec::new(),
     }

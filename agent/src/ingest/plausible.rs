@@ -1,8 +1,11 @@
 //! Whether a list of control points is about the place that the photographs show. A wrong zone, or columns in another order,
-//! would bend the model or carry it away, and every residual would look small.
+//! would bend the model or carry it away, and every residual would look small. And whether poses are of the flight that GPS
+//! and control points tell of.
 
-use cosurf_geo::{ControlPoint, GeoError, Sighting, SiteFrame, Up};
-use glam::{DMat2, DVec2};
+use std::fmt;
+
+use cosurf_geo::{ControlPoint, GeoError, Sighting, Similarity, SiteFrame, Up};
+use glam::{DMat2, DVec2, DVec3};
 
 use super::gps::{ELSEWHERE_M, a_few, geodetic};
 use super::names::{Meant, Names};
@@ -14,6 +17,57 @@ const GPS_OFF_M: f64 = 50.0;
 const UP_SIGMA_MAX_RAD: f64 = 0.3;
 /// The normalised determinant is 1 for points that lie as the photographs show them, and -1 for mirrored ones.
 const MIRRORED_BELOW: f64 = -0.5;
+
+/// How far poses put places from where they were measured.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub(super) struct Contradiction {
+    /// What was measured.
+    places: &'static str,
+    /// Median distance between where the poses put the places and where they are, metres.
+    off_m: f64,
+    /// Median distance of the places from their middle, metres.
+    apart_m: f64,
+    /// The former as a share of the latter.
+    pub(super) share: f64,
+}
+
+impl Contradiction {
+    /// Of nothing that was measured.
+    pub(super) const NONE: Self = Self { places: "nothing", off_m: 0.0, apart_m: 0.0, share: 0.0 };
+
+    /// Of places that a similarity puts on the earth. Heights do not count: those of GPS are coarse.
+    pub(super) fn of(places: &'static str, sightings: &[Sighting], similarity: &Similarity) -> Self {
+        if sightings.is_empty() {
+            return Self::NONE;
+        }
+        let middle = sightings.iter().map(|its| its.enu_m).sum::<DVec3>() / sightings.len() as f64;
+        let flat = |vector: DVec3| vector.truncate().length();
+        let off_m = median(sightings.iter().map(|its| flat(similarity.apply(its.model) - its.enu_m)));
+        let apart_m = median(sightings.iter().map(|its| flat(its.enu_m - middle)));
+        Self { places, off_m, apart_m, share: off_m / apart_m.max(f64::MIN_POSITIVE) }
+    }
+
+    /// The larger one.
+    pub(super) fn or(self, other: Self) -> Self {
+        if other.share > self.share { other } else { self }
+    }
+}
+
+impl fmt::Display for Contradiction {
+    fn fmt(&self, f: &mut fmt::Formatter) -> fmt::Result {
+        let Self { places, off_m, apart_m, .. } = self;
+        write!(
+            f,
+            "{places} lie {off_m:.1} m from where the poses put them, and only {apart_m:.1} m from their own middle (medians)"
+        )
+    }
+}
+
+fn median(of: impl Iterator<Item = f64>) -> f64 {
+    let mut sorted: Vec<f64> = of.collect();
+    sorted.sort_by(f64::total_cmp);
+    sorted[sorted.len() / 2]
+}
 
 fn refused(reason: String) -> GeoError {
     GeoError::Refused { path: "gcp_list.txt".into(), reason }
@@ -178,6 +232,25 @@ mod tests {
         let told = missing_photographs(&photographs, &points(16.0, &["A.JPG", "x1", "x2", "x3", "x4", "x1"]));
         assert_eq!(told.unwrap().1, "5 marks are in photographs that are not here (x1, x2, x3, …)");
         assert_eq!(missing_photographs(&photographs, &points(16.0, &["a.jpg"])), None);
+    }
+
+    #[test]
+    fn places_contradict_poses_that_are_not_of_them() {
+        let (mut places, _) = sightings(|at| at);
+        let turn = DQuat::from_scaled_axis(DVec3::new(0.4, -1.0, 2.0)).inverse();
+        let right = Similarity { scale: 10.0, rotation: turn, translation: DVec3::ZERO };
+        let of = |places: &[Sighting], similarity| Contradiction::of("places of GPS", places, &similarity);
+        assert!(of(&places, right).share < 1e-9);
+        // One that is far off is a blunder of GPS, not of the poses.
+        places[1].enu_m.x += 5000.0;
+        assert!(of(&places[..], right).share < 1e-9);
+        let collapsed = Similarity { scale: 0.1, ..right };
+        let off = of(&sightings(|at| at).0, collapsed);
+        assert!(off.share > 1.0 && off.or(Contradiction::NONE) == off && Contradiction::NONE.or(off) == off);
+        assert_eq!(
+            off.to_string(),
+            "places of GPS lie 39.9 m from where the poses put them, and only 32.2 m from their own middle (medians)"
+        );
     }
 
     #[test]

@@ -127,12 +127,13 @@ impl<'a> Recipe<'a> {
         Ok(Stage { kind: IngestStage::Matches, commands, inputs: none(), removed: none(), folders: none() })
     }
 
-    /// Finds poses.
-    pub(super) fn poses(&self) -> Result<Stage, IngestError> {
+    /// Finds poses, with this seed of COLMAP's draws.
+    pub(super) fn poses(&self, seed: u32) -> Result<Stage, IngestError> {
         let options = [
+            (&["random_seed", "Mapper.random_seed", "default_random_seed"][..], seed.to_string().into()),
             self.database(),
             self.images(),
-            (&["output_path"][..], self.work.join("sparse").into()),
+            (&["output_path"], self.work.join("sparse").into()),
             (&["Mapper.ba_global_function_tolerance"], ADJUSTMENT_TOLERANCE.into()),
         ];
         let commands = vec![(self.colmap.command("mapper", &options)?, self.photographs.usable.len())];

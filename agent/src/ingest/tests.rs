@@ -20,7 +20,7 @@ const SCRIPT: &str = r#"#!/bin/sh
 here=$(dirname "$0")
 case "$1 $2" in
 "help "*) echo "COLMAP 3.8 -- Structure-from-Motion"; echo "  image_undistorter"; exit 0;;
-*" --help") echo "  --database_path arg  --image_path arg --image_list_path arg --match_list_path arg --input_path arg --output_path arg --ImageReader.mask_path arg"; exit 0;;
+*" --help") echo "  --database_path arg  --image_path arg --image_list_path arg --match_list_path arg --input_path arg --output_path arg --ImageReader.mask_path arg --random_seed arg"; exit 0;;
 esac
 command=$1; shift
 echo "$command" >> "$here/calls"
@@ -29,6 +29,7 @@ while [ $# -gt 0 ]; do
   case "$1" in
   --output_path) out=$2;;
   --input_path) in=$2;;
+  --random_seed) seed=$2;;
   --image_path) images=$2;;
   --ImageReader.mask_path) cp -r "$2" "$here/seen-masks";;
   esac
@@ -36,8 +37,8 @@ while [ $# -gt 0 ]; do
 done
 case "$command" in
 feature_extractor) echo "Processed file [4/4]";;
-mapper) mkdir "$out/0"; cp "$here/undistorted/sparse/"* "$out/0";;
-model_converter) cp "$here/text/"* "$out";;
+mapper) mkdir "$out/0"; cp "$here/undistorted/sparse/"* "$out/0"; echo "$seed" > "$out/0/seed";;
+model_converter) cp "$here/text/"* "$out"; cp "$here/text-$(cat "$in/seed")/"* "$out" 2> "$here/none" || true;;
 image_undistorter) cp -r "$here/undistorted/." "$out"; cp "$in/images.bin" "$in/points3D.bin" "$out/sparse"
   case "$images" in *masks-as-pictures) cp -r "$images/." "$out/images";; esac;;
 esac
@@ -203,6 +204,61 @@ fn places_and_accuracies_of_xmp_count_where_exif_has_none() {
     };
     let (fixed_m, single_m) = (known_m(50), known_m(16));
     assert!(fixed_m < 0.05 && single_m > 0.5, "{fixed_m} {single_m}");
+}
+
+/// What an ingest told of what it leaves out, as `name: reason`.
+fn left_out(events: &[AgentEvent]) -> Vec<String> {
+    let told = |event: &AgentEvent| match event {
+        AgentEvent::LeftOut { name, reason } => Some(format!("{name}: {reason}")),
+        _ => None,
+    };
+    events.iter().filter_map(told).collect()
+}
+
+/// Gives the draws of this seed a lens of their own, or photographs whose names are exchanged.
+fn misunderstand(flight: &Flight, seed: u32, lens: Option<&str>) {
+    let wrong = flight.at(&format!("text-{seed}"));
+    fs::create_dir(&wrong).unwrap();
+    if let Some(lens) = lens {
+        return fs::write(wrong.join("cameras.txt"), lens).unwrap();
+    }
+    let images = fs::read_to_string(flight.at("text/images.txt")).unwrap();
+    // Its places are those of the flight, but in another order.
+    let images = images.replace("a1", "a4").replace("a2", "a1").replace("a4", "a2");
+    fs::write(wrong.join("images.txt"), images).unwrap();
+}
+
+const TWICE: [&str; 5] = [ALL[0], ALL[1], ALL[2], ALL[2], ALL[3]];
+
+#[test]
+fn poses_that_places_or_the_lens_contradict_are_looked_for_again() {
+    let lens = "1 OPENCV 64 48 93 74 32 24 -0.6 0 0 0\n";
+    for (lens, reason) in [
+        (None, "the first poses: places of GPS lie "),
+        (Some(lens), "the first poses: the focal length is 93 pixels along x, but 74 along y; "),
+    ] {
+        let flight = Flight::new();
+        misunderstand(&flight, 0, lens);
+        let (ingested, calls, events) = flight.run(&flight.plan());
+        assert_eq!(calls, TWICE);
+        let told = left_out(&events);
+        assert!(told[0].starts_with(reason) && told[0].ends_with("COLMAP looks for others"), "{told:?}");
+        assert_eq!(told.len(), 1);
+        assert_eq!(ingested.unwrap().georeference.unwrap().residuals.gps.unwrap().agreeing, 4);
+        let center = Dataset::open(&flight.at("data")).unwrap().views[0].camera.cam_from_world.center();
+        assert!(center.distance(Flight::places()[0]) < 0.05, "{center}");
+    }
+}
+
+#[test]
+fn places_that_contradict_all_poses_do_not_count() {
+    let flight = Flight::new();
+    (0..2).for_each(|seed| misunderstand(&flight, seed, None));
+    let (ingested, calls, events) = flight.run(&flight.plan());
+    assert_eq!(calls, TWICE);
+    assert!(!ingested.unwrap().report.georeferenced && !flight.at("data/geo.json").exists());
+    let told = left_out(&events).pop().unwrap();
+    assert!(told.starts_with("the place on the earth: "), "{told}");
 }
 
 #[test]
