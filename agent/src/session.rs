@@ -23,7 +23,7 @@ use tracing::info_span;
 
 use crate::checkpoint::{Checkpoint, Fingerprint};
 use crate::random_start;
-use crate::warm_start::read_visible_splats;
+use crate::warm_start::{VisibleSplats, read_visible_splats};
 
 /// Degree of the spherical harmonics that the model stores for its colours.
 pub const SH_DEGREE: u32 = 3;
@@ -204,6 +204,13 @@ impl Session {
         let needs_init = checkpoint.is_none() || data.points.is_empty();
         let init = plan.init.as_deref().filter(|_| needs_init);
         let init = init.map(|model| read_init(model, &frame, &cameras, splats_max)).transpose()?;
+        let init = init.map(|VisibleSplats { splats, count }| {
+            let used = splats.len();
+            given_up.extend((used < count).then(|| {
+                format!("of the {count} splats to start from that the views see, the {used} most important are used")
+            }));
+            splats
+        });
         let stand_ins = init.as_ref().filter(|_| data.points.is_empty()).map(centres);
         let points = stand_ins.as_deref().unwrap_or(&data.points);
         let extent = extent(&data, points);
@@ -390,12 +397,17 @@ pub fn check_pictures_are_whole(plan: &TrainPlan) -> Result<()> {
 }
 
 /// Reads the splats to start from, at most `splats_max`. Fails if the cameras see none of them.
-fn read_init(model: &Path, frame: &LocalFrame, cameras: &[Camera], splats_max: usize) -> Result<Splats> {
-    let splats = read_visible_splats(model, frame, cameras, splats_max, SH_DEGREE)?;
-    if splats.is_empty() {
+fn read_init(
+    model: &Path,
+    frame: &LocalFrame,
+    cameras: &[Camera],
+    splats_max: usize,
+) -> Result<VisibleSplats> {
+    let visible = read_visible_splats(model, frame, cameras, splats_max, SH_DEGREE)?;
+    if visible.splats.is_empty() {
         bail!("{}: the training views see no splat of this model; start from another one", model.display());
     }
-    Ok(splats)
+    Ok(visible)
 }
 
 /// The centres of the splats as sparse points, for datasets without sparse points.

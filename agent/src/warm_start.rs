@@ -12,6 +12,15 @@ use glam::DVec3;
 /// Number of splats of the file that are in memory at a time.
 const PART: usize = 4096;
 
+/// The splats of a model that cameras see.
+#[derive(Clone, Debug, PartialEq)]
+pub struct VisibleSplats {
+    /// All of them, or as many as were asked for.
+    pub splats: Splats,
+    /// How many there are.
+    pub count: usize,
+}
+
 /// Reads a model into the frame of `cameras` and keeps the splats whose centres at least one of `cameras` sees, in the
 /// order of the file. If more than `splats_max` remain, keeps the most important ones, by opacity times area. The result
 /// has spherical harmonics up to `sh_degree`: higher degrees of the file are dropped, and degrees that the file lacks are
@@ -22,13 +31,14 @@ pub fn read_visible_splats(
     cameras: &[Camera],
     splats_max: usize,
     sh_degree: u32,
-) -> Result<Splats, SceneError> {
+) -> Result<VisibleSplats, SceneError> {
     let mut choice = Choice::new(splats_max);
     let mut watchers = Watchers::new(cameras);
     model::read_parts(path, frame, PART, |part| choice.look_at(part, &mut watchers))?;
+    let count = choice.visible;
     let mut extract = Extract::of(choice, sh_degree);
     model::read_parts(path, frame, PART, |part| extract.take_from(part))?;
-    Ok(extract.kept)
+    Ok(VisibleSplats { splats: extract.kept, count })
 }
 
 /// A splat's claim to be kept: its importance, then its place in the file; of equally important ones, the first is kept.
@@ -56,13 +66,14 @@ impl PartialOrd for Claim {
 struct Choice {
     splats_max: usize,
     looked_at: usize,
+    visible: usize,
     /// The weakest claim is on top.
     chosen: BinaryHeap<Reverse<Claim>>,
 }
 
 impl Choice {
     fn new(splats_max: usize) -> Self {
-        Self { splats_max, looked_at: 0, chosen: BinaryHeap::new() }
+        Self { splats_max, looked_at: 0, visible: 0, chosen: BinaryHeap::new() }
     }
 
     fn look_at(&mut self, part: &Splats, watchers: &mut Watchers) {
@@ -72,6 +83,7 @@ impl Choice {
             if !watchers.any(mean, |_| true) {
                 continue;
             }
+            self.visible += 1;
             self.chosen.push(Reverse(Claim { importance: importance[i], place: self.looked_at + i }));
             if self.chosen.len() > self.splats_max {
                 self.chosen.pop();
@@ -149,12 +161,13 @@ mod tests {
         let read = |cameras: &[Camera], most, sh_degree| {
             read_visible_splats(&path, &LocalFrame::WORLD, cameras, most, sh_degree).unwrap()
         };
-        let kept = read(&[above()], 2, 3);
+        assert_eq!(read(&[above()], 2, 3).count, 3);
+        let kept = read(&[above()], 2, 3).splats;
         assert_eq!(kept.means, [[1.0, 0.0, 0.0], [2.0, 0.0, 0.0]]);
         assert_eq!((kept.sh_of(0)[11], kept.sh_of(0)[12], kept.sh_stride()), (12.0, 0.0, 48));
-        assert_eq!(read(&[above()], 9, 0).sh_of(2), [2.0, 3.0, 4.0]);
-        assert!(read(&[], 9, 0).is_empty());
-        assert!(read(&[above()], 0, 0).is_empty());
+        assert_eq!(read(&[above()], 9, 0).splats.sh_of(2), [2.0, 3.0, 4.0]);
+        assert!(read(&[], 9, 0).splats.is_empty());
+        assert!(read(&[above()], 0, 0).splats.is_empty());
     }
 
     #[test]
@@ -168,7 +181,7 @@ mod tests {
         let path = folder.path().join("model.ply");
         ply::write(&path, &model, &LocalFrame::WORLD).unwrap();
         let kept = read_visible_splats(&path, &LocalFrame::WORLD, &[above()], 5, 0).unwrap();
-        let places = kept.means.iter().map(|mean| (mean[0] * 1e4).round() as usize);
+        let places = kept.splats.means.iter().map(|mean| (mean[0] * 1e4).round() as usize);
         assert_eq!(places.collect::<Vec<_>>(), [0, 1, 5, PART + 5, 2 * PART + 5]);
     }
 }

@@ -383,7 +383,6 @@ fn the_memory_limit_is_kept_and_its_cost_reported() {
     );
 }
 
-/// Ten times as many sparse points, or initial splats, as fit into the limit.
 /// A model of this many splats on a ground of 35 × 35.
 fn ground(count: u32) -> Splats {
     let across = f64::from(count).sqrt() as u32;
@@ -410,7 +409,9 @@ fn many_points_and_a_large_model_to_start_from_keep_the_memory_limit() {
     ply::write(&init, &ground(500_000), &LocalFrame::WORLD).unwrap();
     let from_model = data.path().join("from_model");
     succeed(train(data.path(), &from_model, &[&words[..], &["--init", init.to_str().unwrap()]].concat()));
-    keeps(&report_of(&from_model));
+    let report = report_of(&from_model);
+    keeps(&report);
+    assert!(report["given_up"].to_string().contains("splats to start from"), "{}", report["given_up"]);
 
     let mut dataset = Dataset::open(data.path()).unwrap();
     dataset.points = dataset.points.iter().cloned().cycle().take(600_000).collect();

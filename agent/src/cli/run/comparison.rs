@@ -35,7 +35,7 @@ impl Comparison<'_> {
         if file_bytes > self.memory_bytes / 4 {
             return Ok(());
         }
-        let other = read_visible_splats(other, self.frame, self.cameras, usize::MAX, SH_DEGREE)?;
+        let other = read_visible_splats(other, self.frame, self.cameras, usize::MAX, SH_DEGREE)?.splats;
         let (before, after, file) = match with {
             ComparedWith::Init => (&other, self.splats, "changes-init.json"),
             ComparedWith::Global => (self.splats, &other, "changes-global.json"),
