@@ -10,15 +10,13 @@ use std::io::{self, BufRead, BufReader, Read, Write};
 use std::path::{Path, PathBuf};
 
 use anyhow::{Context, Result, bail, ensure};
-use cosurf_contract::Curve;
+use cosurf_contract::{CHECKPOINT, Curve};
 use cosurf_engine::{AnyBackend, Backend, DeviceLost, Progress, Schedule, TrainSettings, Trainer};
 use cosurf_scene::{Camera, SceneError, SparsePoint, atomic, files};
 use serde::{Deserialize, Serialize};
 use tracing::debug_span;
 
 const FORMAT: &str = "cosurf checkpoint 4";
-/// Folder of the checkpoint in the output folder.
-const FOLDER: &str = "checkpoint";
 /// A fast compression level. The numbers hardly compress, and training waits until the file is written.
 const ZSTD_LEVEL: i32 = 1;
 /// Numbers of steps whose schedules tell whether two programs have the same rules for schedules.
@@ -98,14 +96,14 @@ pub fn set_aside(out: &Path) -> Result<PathBuf> {
 /// Makes the checkpoint's folder in the output folder `out`, unless it is there. Fails if no file may be created in it. Deletes
 /// unfinished checkpoints of killed programs.
 pub fn make_folder(out: &Path) -> Result<()> {
-    let folder = out.join(FOLDER);
+    let folder = out.join(CHECKPOINT);
     atomic::prepare_folder(&folder)?;
     Ok(atomic::remove_partial_files(&folder)?)
 }
 
 /// Path of the checkpoint file of a training whose output folder is `out`.
 pub fn path(out: &Path) -> PathBuf {
-    out.join(FOLDER).join("state.bin")
+    out.join(CHECKPOINT).join("state.bin")
 }
 
 impl Checkpoint {

@@ -1,19 +1,20 @@
 //! The plan of a mission, made before anything runs: the views and the configuration of each agent.
 //!
 //! `mission.json` stores the settings. The same command in the same folder resumes the mission; a command with other
-//! settings is refused.
+//! settings is refused as soon as an agent has learnt anything.
 
 use std::fs;
 use std::ops::Range;
 use std::path::{Path, PathBuf};
 
-use cosurf_contract::{AgentConfig, DEFAULT_FLIGHTS_MAX};
+use cosurf_contract::{AgentConfig, CHECKPOINT, DEFAULT_FLIGHTS_MAX};
 use cosurf_engine::PoseChoice;
 use cosurf_link::BrokerAddress;
 use cosurf_scene::{Dataset, Ground, SceneError, atomic, files, footprints};
 use cosurf_wire::{DeviceId, IdError, SiteId};
 use serde::{Deserialize, Serialize};
 
+use super::rounds::round_folder;
 use crate::merge::MergeSettings;
 use crate::partition::{AssignedView, Cell, Division, PartitionError, invite, nearest_cell, partition};
 
@@ -52,6 +53,9 @@ pub struct Settings {
     /// How the agents' models are merged.
     pub merge: MergeSettings,
 }
+
+/// The folder of all agents' folders.
+const AGENTS: &str = "agents";
 
 fn one_round() -> u32 {
     1
@@ -201,7 +205,7 @@ impl Plan {
         threads: usize,
     ) -> Result<PathBuf, PlanError> {
         let device = self.devices[agent];
-        let folder_in = |out: &Path| out.join("agents").join(device.as_str());
+        let folder_in = |out: &Path| out.join(AGENTS).join(device.as_str());
         let folder = folder_in(out);
         let init = before.map(|before| folder_in(before).join("global.ply")).filter(|init| init.is_file());
         files::create_folder(&folder)?;
@@ -251,8 +255,8 @@ fn names(of: &str, count: usize) -> Result<Vec<DeviceId>, IdError> {
     (1..=count).map(|number| DeviceId::new(&format!("{of}-{number:0width$}"))).collect()
 }
 
-/// Returns the site of the mission in `out`, from the mission's record. A record with other settings is an error. If
-/// there is no record, writes one with `fresh_site`.
+/// Returns the site of the mission in `out`, from the mission's record. A record with other settings is an error once
+/// agents have learnt something. If there is no record, writes one with `fresh_site`.
 fn open_record(settings: &Settings, out: &Path, fresh_site: SiteId) -> Result<SiteId, PlanError> {
     let path = out.join("mission.json");
     let bad = |reason: String| PlanError::BadRecord { path: path.clone(), reason };
@@ -261,20 +265,31 @@ fn open_record(settings: &Settings, out: &Path, fresh_site: SiteId) -> Result<Si
             let record: Record = serde_json::from_slice(&bytes).map_err(|error| bad(error.to_string()))?;
             // More memory for merges changes no result.
             let merge = MergeSettings { memory_bytes: settings.merge.memory_bytes, ..record.settings.merge };
-            if (Settings { merge, ..record.settings.clone() }) != *settings {
+            if (Settings { merge, ..record.settings.clone() }) == *settings {
+                return Ok(record.site);
+            }
+            if has_learnt(out) {
                 let what = difference(&record.settings, settings);
                 return Err(PlanError::OtherMission { out: out.to_path_buf(), what });
             }
-            Ok(record.site)
         }
-        Err(error) if error.kind() == std::io::ErrorKind::NotFound => {
-            let record = Record { site: fresh_site, settings: settings.clone() };
-            let text = serde_json::to_string_pretty(&record).map_err(|error| bad(error.to_string()))?;
-            atomic::write_bytes(&path, text.as_bytes())?;
-            Ok(fresh_site)
-        }
-        Err(cause) => Err(SceneError::io(&path, cause).into()),
+        Err(error) if error.kind() == std::io::ErrorKind::NotFound => {}
+        Err(cause) => return Err(SceneError::io(&path, cause).into()),
     }
+    let record = Record { site: fresh_site, settings: settings.clone() };
+    let text = serde_json::to_string_pretty(&record).map_err(|error| bad(error.to_string()))?;
+    atomic::write_bytes(&path, text.as_bytes())?;
+    Ok(fresh_site)
+}
+
+/// Whether an agent of the mission in `out` has learnt anything, in any round.
+fn has_learnt(out: &Path) -> bool {
+    let of_round = |folder: PathBuf| {
+        let agents = fs::read_dir(folder.join(AGENTS)).into_iter().flatten().flatten();
+        agents.into_iter().any(|agent| agent.path().join(CHECKPOINT).exists())
+    };
+    let earlier = (1..).map(|round| round_folder(out, round)).take_while(|folder| folder.is_dir());
+    earlier.chain([out.to_owned()]).any(of_round)
 }
 
 /// A setting that differs, as `steps 300, not 500`: first the value in the record (`there`), then that of the command
@@ -403,9 +418,21 @@ mod tests {
         Plan::make(&row(18), &settings(), out.path(), site("first")).unwrap();
         let again = Plan::make(&row(18), &settings(), out.path(), site("second")).unwrap();
         assert_eq!(again.site, site("first"));
-        let other = Settings { steps: 11, ..settings() };
-        let error = Plan::make(&row(18), &other, out.path(), site("third")).unwrap_err().to_string();
-        assert!(error.contains("steps 10, not 11") && error.contains("--out"), "{error}");
+        let other = |steps| Settings { steps, ..settings() };
+        let third = Plan::make(&row(18), &other(11), out.path(), site("third")).unwrap();
+        assert_eq!(third.site, site("third"), "nothing had been learnt");
+        for round in ["round-1", ""] {
+            let checkpoint = out.path().join(round).join("agents/agent-1/checkpoint");
+            fs::create_dir_all(&checkpoint).unwrap();
+            let error =
+                Plan::make(&row(18), &settings(), out.path(), site("fourth")).unwrap_err().to_string();
+            assert!(error.contains("steps 11, not 10") && error.contains("--out"), "{error}");
+            assert_eq!(
+                Plan::make(&row(18), &other(11), out.path(), site("fifth")).unwrap().site,
+                site("third")
+            );
+            fs::remove_dir(checkpoint).unwrap();
+        }
     }
 
     #[test]

@@ -6,7 +6,7 @@
 //!
 //! What it knows nothing about: agents and aggregators.
 
-use std::path::PathBuf;
+use std::path::{Path, PathBuf};
 
 use super::order::MissionOrder;
 
@@ -23,12 +23,17 @@ pub(super) struct Round {
     pub(super) before: Option<PathBuf>,
 }
 
+/// The folder of a round that is not the last, in that of its mission.
+pub(super) fn round_folder(mission: &Path, round: u32) -> PathBuf {
+    mission.join(format!("round-{round}"))
+}
+
 /// The rounds of a mission, in order, and the last one. Each has its share of the steps, at least one.
 pub(super) fn rounds(order: &MissionOrder) -> (Vec<Round>, Round) {
     let count = order.settings.rounds.max(1);
     let out = |round: u32| match round == count {
         true => order.out.clone(),
-        false => order.out.join(format!("round-{round}")),
+        false => round_folder(&order.out, round),
     };
     let steps_until =
         |round: u32| (u64::from(order.settings.steps) * u64::from(round) / u64::from(count)) as u32;

@@ -26,6 +26,9 @@ pub const DEFAULT_FLIGHTS_MAX: usize = 256;
 /// Number of training steps, unless the configuration sets another.
 pub const DEFAULT_STEPS: u32 = 3000;
 
+/// The folder in an agent's `out` that keeps its training. Before it is there, nothing has been learnt.
+pub const CHECKPOINT: &str = "checkpoint";
+
 /// The name of an aggregator, unless its configuration sets another. No agent may have it: an aggregator takes no model of
 /// its own name.
 pub const AGGREGATOR_NAME: &str = "aggregator";

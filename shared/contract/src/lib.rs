@@ -59,7 +59,7 @@ mod words;
 pub const ENDS_WITH_STDIN: &str = "COSURF_ENDS_WITH_STDIN";
 
 pub use config::{
-    AgentConfig, AgentLink, ConfigError, DEFAULT_FLIGHTS_MAX, DEFAULT_STEPS, amount, parse_toml,
+    AgentConfig, AgentLink, CHECKPOINT, ConfigError, DEFAULT_FLIGHTS_MAX, DEFAULT_STEPS, amount, parse_toml,
 };
 pub use cosurf_link::TlsFiles;
 pub use curve::Curve;
