@@ -29,10 +29,10 @@
 const SAMPLES_AT_ONCE: u32 = 64u;
 // A pixel counts as seen by both views if its reprojection error is below this, px (θ in CoSurfGS).
 const RETURN_MAX_PX: f32 = 1.0;
-// Number of pixels of a patch on each side of its centre, the side of a patch, px, and its number of pixels.
-const PATCH_REACH: u32 = 1u;
-const PATCH_SIDE: u32 = 2u * PATCH_REACH + 1u;
-const PATCH: u32 = PATCH_SIDE * PATCH_SIDE;
+// Number of pixels of a patch on each side of its centre: 1 or 3.
+override PATCH_REACH: u32;
+// Largest number of pixels of a patch.
+const PATCH_MAX: u32 = 49u;
 // Term that keeps the correlation of patches without contrast finite, for luma in 0..1.
 const VARIANCES_MIN: f32 = 1e-8;
 // Patches with 1 - NCC² of at least this count as different surfaces (PGSR).
@@ -224,12 +224,13 @@ fn patches(pixel: vec2<u32>, plane: vec4<f32>) -> Match {
     }
     let ratio = plane.xyz / plane.w;
     let t = translation();
-    var here: array<f32, PATCH>;
-    var there: array<f32, PATCH>;
+    let count = patch_side() * patch_side();
+    var here: array<f32, PATCH_MAX>;
+    var there: array<f32, PATCH_MAX>;
     // Derivative of the luma in the neighbour by the inverse depth of the plane.
-    var slopes: array<f32, PATCH>;
+    var slopes: array<f32, PATCH_MAX>;
     var means = vec2(0.0);
-    for (var i = 0u; i < PATCH; i++) {
+    for (var i = 0u; i < count; i++) {
         let at = patch_pixel(pixel, i);
         let r = ray_of(vec2<f32>(at));
         let inverse_depth = -dot(ratio, r);
@@ -252,32 +253,37 @@ fn patches(pixel: vec2<u32>, plane: vec4<f32>) -> Match {
         slopes[i] = dot(found.slope, q.by_px);
         means += vec2(here[i], there[i]);
     }
-    means /= f32(PATCH);
+    means /= f32(count);
     // Variance of the patch here, variance of the patch in the neighbour, and their covariance.
     var moments = vec3(0.0);
-    for (var i = 0u; i < PATCH; i++) {
+    for (var i = 0u; i < count; i++) {
         let a = here[i] - means.x;
         let b = there[i] - means.y;
         moments += vec3(a * a, b * b, a * b);
     }
-    moments /= f32(PATCH);
+    moments /= f32(count);
     // Patches without positive correlation do not match (in PGSR, negative correlation matches).
     if (!(moments.z > 0.0)) {
         return none;
     }
     let scale = 1.0 / (moments.x * moments.y + VARIANCES_MIN);
     let agreement = moments.z * scale;
-    let by_covariance = -2.0 * agreement / f32(PATCH);
-    let by_variance = 2.0 * agreement * agreement * moments.x / f32(PATCH);
+    let by_covariance = -2.0 * agreement / f32(count);
+    let by_variance = 2.0 * agreement * agreement * moments.x / f32(count);
     var by_ratio = vec3(0.0);
-    for (var i = 0u; i < PATCH; i++) {
+    for (var i = 0u; i < count; i++) {
         let v_there = by_covariance * (here[i] - means.x) + by_variance * (there[i] - means.y);
         by_ratio -= v_there * slopes[i] * ray_of(vec2<f32>(patch_pixel(pixel, i)));
     }
     return Match(1.0 - moments.z * agreement, by_ratio);
 }
 
+// Side of a patch, px.
+fn patch_side() -> u32 {
+    return 2u * PATCH_REACH + 1u;
+}
+
 // The `i`-th pixel of the patch around a pixel.
 fn patch_pixel(pixel: vec2<u32>, i: u32) -> vec2<u32> {
-    return pixel + vec2(i % PATCH_SIDE, i / PATCH_SIDE) - PATCH_REACH;
+    return pixel + vec2(i % patch_side(), i / patch_side()) - PATCH_REACH;
 }

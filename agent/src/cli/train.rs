@@ -64,6 +64,10 @@ pub(super) struct TrainArgs {
     /// Train colour only, without the surface losses: faster, but depth and normals are not accurate
     #[arg(long)]
     color_only: bool,
+    /// Train with the paper's settings (CoSurfGS): its weights of the surface losses, patches of 7 × 7 pixels, and its pruning of
+    /// 0.2 of the splats. For comparisons; slower, and by our measurements less accurate
+    #[arg(long, conflicts_with_all = ["color_only", "prune", "prune_at", "prune_score"])]
+    paper: bool,
     /// Share of the splats to prune; the least important splats are removed, 0 removes none
     #[arg(long, value_name = "SHARE", default_value_t = default_prune())]
     prune: Share,
@@ -109,7 +113,15 @@ fn default_prune() -> Share {
 }
 
 impl TrainArgs {
+    fn surface(&self) -> Option<SurfaceSettings> {
+        let settings = if self.paper { SurfaceSettings::paper() } else { SurfaceSettings::default() };
+        (!self.color_only).then_some(settings)
+    }
+
     fn prune(&self) -> Option<PruneSettings> {
+        if self.paper {
+            return Some(PruneSettings::paper());
+        }
         let score = match self.prune_score {
             ScoreArg::Corrected => PruneScore::Corrected,
             ScoreArg::Paper => PruneScore::Paper,
@@ -130,7 +142,7 @@ pub(super) fn run(args: &TrainArgs) -> Result<()> {
         max_size_px: args.common.max_size_px(),
         device: args.device.device,
         threads: args.common.threads(),
-        surface: (!args.color_only).then(SurfaceSettings::default),
+        surface: args.surface(),
         prune: args.prune(),
         exposure: args.exposure,
         poses: args.poses,

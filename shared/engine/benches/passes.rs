@@ -6,7 +6,7 @@
 //! `cargo bench -p cosurf-engine`
 
 use cosurf_engine::backend::{
-    AdamRates, Channels, LossWeights, MultiviewWeights, SurfaceWeights, TargetRgb, Targets,
+    AdamRates, Channels, LossWeights, MultiviewWeights, PatchSide, SurfaceWeights, TargetRgb, Targets,
 };
 use cosurf_engine::budget::PAIRS_PER_SPLAT;
 use cosurf_engine::{AnyBackend, Backend, Capacity, CpuBackend, DeviceChoice};
@@ -131,7 +131,13 @@ const COLOR: LossWeights = LossWeights { ssim: 0.2, scale: 0.0, surface: None, t
 const SURFACE: LossWeights = LossWeights {
     surface: Some(SurfaceWeights {
         normal: 0.01,
-        multiview: Some(MultiviewWeights { reprojection: 0.05, ncc: 0.2, cell_px: 2, draw: 1 }),
+        multiview: Some(MultiviewWeights {
+            reprojection: 0.05,
+            ncc: 0.2,
+            cell_px: 2,
+            patch: PatchSide::Px3,
+            draw: 1,
+        }),
     }),
     ..COLOR
 };

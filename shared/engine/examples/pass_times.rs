@@ -8,7 +8,8 @@ use std::collections::BTreeMap;
 use std::time::Instant;
 
 use cosurf_engine::backend::{
-    AdamRates, BinCounts, Channels, LossWeights, MultiviewWeights, SurfaceWeights, TargetRgb, Targets,
+    AdamRates, BinCounts, Channels, LossWeights, MultiviewWeights, PatchSide, SurfaceWeights, TargetRgb,
+    Targets,
 };
 use cosurf_engine::budget::PAIRS_PER_SEEN_SPLAT;
 use cosurf_engine::{AnyBackend, Backend, Capacity, Device, DeviceChoice, Schedule};
@@ -124,7 +125,8 @@ impl Scene {
         backend.bin();
         backend.rasterize(Channels::Geometry);
         let rgb = TargetRgb::Bytes(photograph);
-        let multiview = MultiviewWeights { reprojection: 0.05, ncc: 1.0, cell_px: 2, draw: 1 };
+        let multiview =
+            MultiviewWeights { reprojection: 0.05, ncc: 1.0, cell_px: 2, patch: PatchSide::Px3, draw: 1 };
         let weights = LossWeights {
             ssim: 0.2,
             scale: 25.0,

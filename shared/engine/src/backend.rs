@@ -115,6 +115,16 @@ pub struct SurfaceWeights {
     pub multiview: Option<MultiviewWeights>,
 }
 
+/// Side of the patches of a view that are compared with patches of the neighbouring view.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
+pub enum PatchSide {
+    /// 3 px: fast, and follows fine relief.
+    #[default]
+    Px3,
+    /// 7 px, as in PGSR.
+    Px7,
+}
+
 /// Weights of the multi-view losses, and the pixels that they sample (PGSR).
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct MultiviewWeights {
@@ -126,6 +136,8 @@ pub struct MultiviewWeights {
     pub ncc: f32,
     /// Side of the square cells in which pixels are sampled, one in each: 1, 2, 4, 8 or 16 px.
     pub cell_px: u32,
+    /// Side of the patches.
+    pub patch: PatchSide,
     /// Seed of the sampled pixels. Each step uses another.
     pub draw: u64,
 }

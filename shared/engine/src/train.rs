@@ -4,8 +4,8 @@ use cosurf_scene::Camera;
 use tracing::{debug_span, trace_span};
 
 use crate::backend::{
-    AdamRates, Backend, BinCounts, Channels, Edit, Exposure, LossWeights, MultiviewWeights, PhotometricLoss,
-    SurfaceLoss, SurfaceWeights, TargetRgb, Targets,
+    AdamRates, Backend, BinCounts, Channels, Edit, Exposure, LossWeights, MultiviewWeights, PatchSide,
+    PhotometricLoss, SurfaceLoss, SurfaceWeights, TargetRgb, Targets,
 };
 use crate::exposure::Exposures;
 use crate::neighbours::Neighbours;
@@ -40,11 +40,24 @@ pub struct SurfaceSettings {
     /// Side of the square cells in which pixels are sampled, one in each, for the comparison with the neighbouring
     /// view: 1, 2, 4, 8 or 16 px. Larger cells save time and give slightly worse normals.
     pub cell_px: u32,
+    /// Side of the patches that are compared with the neighbouring view.
+    pub patch: PatchSide,
 }
 
 impl Default for SurfaceSettings {
     fn default() -> Self {
-        Self { scale: 100.0, normal: 0.04, reprojection: 0.05, ncc: 1.0, smooth: true, cell_px: 2 }
+        let patch = PatchSide::Px3;
+        Self { scale: 100.0, normal: 0.04, reprojection: 0.05, ncc: 1.0, smooth: true, cell_px: 2, patch }
+    }
+}
+
+impl SurfaceSettings {
+    /// The paper's (CoSurfGS, "Device-side Training Procedure" and "Implementation Details"). Like PGSR, it compares every
+    /// pixel of pictures of this project's sizes.
+    #[must_use]
+    pub fn paper() -> Self {
+        let patch = PatchSide::Px7;
+        Self { scale: 25.0, normal: 0.01, reprojection: 0.05, ncc: 0.2, smooth: true, cell_px: 1, patch }
     }
 }
 
@@ -63,6 +76,14 @@ impl Default for PruneSettings {
     /// As in the paper's ablations: a ratio of 0.4, after 20,000 of 30,000 steps.
     fn default() -> Self {
         Self { ratio: 0.4, at: 2.0 / 3.0, score: PruneScore::default() }
+    }
+}
+
+impl PruneSettings {
+    /// The paper's: its ratio in the text, and its formula.
+    #[must_use]
+    pub fn paper() -> Self {
+        Self { ratio: 0.2, score: PruneScore::Paper, ..Self::default() }
     }
 }
 
@@ -349,6 +370,7 @@ impl<B: Backend> Trainer<B> {
                     reprojection: ramp * surface.reprojection,
                     ncc: ramp * surface.ncc,
                     cell_px: surface.cell_px,
+                    patch: surface.patch,
                     draw: Random::new(seed, Purpose::Sample, u64::from(step), 0).next_u64(),
                 }),
             }

@@ -8,8 +8,8 @@ use std::alloc::{GlobalAlloc, Layout, System};
 use std::sync::atomic::{AtomicUsize, Ordering};
 
 use cosurf_engine::backend::{
-    AdamRates, Channels, LossWeights, MultiviewWeights, SurfaceWeights, TargetRgb, TargetSurface, Targets,
-    TeacherWeights,
+    AdamRates, Channels, LossWeights, MultiviewWeights, PatchSide, SurfaceWeights, TargetRgb, TargetSurface,
+    Targets, TeacherWeights,
 };
 use cosurf_engine::{
     Backend, Capacity, CpuBackend, Example, Neighbours, PoseChoice, Rendering, Schedule, SurfaceSettings,
@@ -102,7 +102,8 @@ fn shown(splats: &Splats, camera: &Camera) -> Rendering {
 }
 
 fn weights(channels: Channels) -> LossWeights {
-    let multiview = MultiviewWeights { reprojection: 0.05, ncc: 1.0, cell_px: 2, draw: 3 };
+    let multiview =
+        MultiviewWeights { reprojection: 0.05, ncc: 1.0, cell_px: 2, patch: PatchSide::Px3, draw: 3 };
     let is_surface = channels == Channels::Geometry;
     LossWeights {
         ssim: 0.2,

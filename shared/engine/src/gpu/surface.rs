@@ -3,13 +3,13 @@
 use super::buffer::Buffer;
 use super::context::{Gpu, GpuError};
 use super::draw::Drawing;
-use super::pass::Pass;
+use super::pass::{Constants, Pass};
 use super::recorder::Recorder;
 use super::sort::GROUP;
 use super::structs::{Pair, SurfaceWeights};
 use super::train::Training;
 use crate::backend::{
-    LossWeights, MultiviewWeights, SurfaceLoss, TargetRgb, TargetSurface, Targets, TeacherLoss,
+    LossWeights, MultiviewWeights, PatchSide, SurfaceLoss, TargetRgb, TargetSurface, Targets, TeacherLoss,
 };
 use crate::budget::TAUGHT_NUMBERS;
 use crate::layout::sampling::cells;
@@ -21,6 +21,14 @@ pub(super) const SAMPLES_AT_ONCE: usize = 64;
 /// Initial bits of the smallest and the largest slope for the pass `edges`: infinity and 0.
 const NO_SLOPES: [u32; 2] = [f32::INFINITY.to_bits(), 0];
 
+/// The setting of the pass `multiview` for patches of this side.
+pub(super) fn reach_of(patch: PatchSide) -> Constants {
+    match patch {
+        PatchSide::Px3 => &[("PATCH_REACH", 1.0)],
+        PatchSide::Px7 => &[("PATCH_REACH", 3.0)],
+    }
+}
+
 #[derive(Debug)]
 struct Passes {
     unbiased_depth: Pass,
@@ -28,6 +36,7 @@ struct Passes {
     edges: Pass,
     normals: Pass,
     depth_backward: Pass,
+    /// For [`PatchSide::Px3`].
     multiview: Pass,
     teacher: Pass,
 }
@@ -82,7 +91,7 @@ impl Surface {
                 edges: gpu.pass(cosurf_shaders::EDGES),
                 normals: gpu.pass(cosurf_shaders::NORMALS),
                 depth_backward: gpu.pass(cosurf_shaders::DEPTH_BACKWARD),
-                multiview: gpu.pass(cosurf_shaders::MULTIVIEW),
+                multiview: gpu.pass_with(cosurf_shaders::MULTIVIEW, reach_of(PatchSide::Px3)),
                 teacher: gpu.pass(cosurf_shaders::TEACHER),
             },
             weights: Buffer::uniform(gpu, "surface weights", zeroed()),
@@ -126,8 +135,10 @@ impl Surface {
         let pixels = f64::from(view.size_px[0]) * f64::from(view.size_px[1]);
         let pair = targets.neighbour_rgb.zip(self.neighbour.as_ref());
         let multiview = surface_weights.multiview.zip(pair);
-        let no_samples = MultiviewWeights { reprojection: 0.0, ncc: 0.0, cell_px: 1, draw: 0 };
-        let MultiviewWeights { reprojection, ncc, cell_px, draw } = multiview.map_or(no_samples, |(w, _)| w);
+        let patch = PatchSide::default();
+        let no_samples = MultiviewWeights { reprojection: 0.0, ncc: 0.0, cell_px: 1, patch, draw: 0 };
+        let MultiviewWeights { reprojection, ncc, cell_px, patch, draw } =
+            multiview.map_or(no_samples, |(w, _)| w);
         let samples = if multiview.is_some() { cells(view.size_px, cell_px) } else { 0 };
         let each_pixel = |weight: f32| weight / pixels as f32;
         let each_sample = |weight: f32| weight / samples.max(1) as f32;
@@ -149,7 +160,7 @@ impl Surface {
         );
         self.single_view(gpu, drawing, training);
         if let Some((_, (rgb, neighbour))) = multiview {
-            self.multiview(gpu, drawing, training, rgb, neighbour, samples);
+            self.multiview(gpu, drawing, training, (rgb, neighbour), samples, patch);
         }
         let taught = weights.teacher.is_some() && targets.surface.is_some();
         if let (Some(_), Some(target)) = (&weights.teacher, &targets.surface) {
@@ -185,9 +196,9 @@ impl Surface {
         gpu: &Gpu,
         drawing: &Drawing,
         training: &Training,
-        rgb: TargetRgb,
-        neighbour: &ViewParams,
+        (rgb, neighbour): (TargetRgb, &ViewParams),
         samples: usize,
+        patch: PatchSide,
     ) {
         self.pair.write(gpu, 0, &[Pair::new(&RelativePose::new(drawing.seen_view(), neighbour), neighbour)]);
         training.replace_photograph(gpu, rgb);
@@ -206,7 +217,11 @@ impl Surface {
             &training.gradient.raw,
             &self.sums.raw,
         ];
-        r.run(&self.passes.multiview, &buffers, samples.div_ceil(SAMPLES_AT_ONCE));
+        let pass = match patch {
+            PatchSide::Px3 => &self.passes.multiview,
+            PatchSide::Px7 => &gpu.pass_with(cosurf_shaders::MULTIVIEW, reach_of(patch)),
+        };
+        r.run(pass, &buffers, samples.div_ceil(SAMPLES_AT_ONCE));
         r.submit();
     }
 

@@ -55,13 +55,8 @@ pub(crate) const NORMAL_REACH: usize = 1;
 /// two views see different points.
 pub(crate) const RETURN_MAX_PX: f32 = 1.0;
 
-/// Number of pixels of a patch on each side of its centre. Patches of a view are compared with patches of the
-/// neighbouring view. PGSR compares 7 × 7 px; smaller patches are faster and follow fine relief.
-pub(crate) const PATCH_REACH: usize = 1;
-/// Side of a patch, px.
-pub(crate) const PATCH_SIDE: usize = 2 * PATCH_REACH + 1;
-/// Number of pixels of a patch.
-pub(crate) const PATCH: usize = PATCH_SIDE * PATCH_SIDE;
+/// Largest number of pixels of a patch: [`crate::backend::PatchSide::Px7`] squared.
+pub(crate) const PATCH_MAX: usize = 49;
 
 /// Added to the product of the variances of two patches, with luma in 0..=1, so that the correlation of flat patches
 /// stays finite.

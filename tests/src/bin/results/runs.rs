@@ -42,7 +42,7 @@ pub(crate) fn command_fault(stored: &Results) -> Option<String> {
 }
 
 /// All benches, the quickest first.
-pub(crate) const RUNS: [Run; 29] = [
+pub(crate) const RUNS: [Run; 30] = [
     Run {
         name: "sizes",
         about: "size of both programs",
@@ -201,6 +201,12 @@ pub(crate) const RUNS: [Run; 29] = [
         about: "the same for the built-in city",
         command: "cargo bench -p cosurf-tests --bench geometry -- --data CITY --max-size 320",
         measure: benches::geometry_city,
+    },
+    Run {
+        name: "paper",
+        about: "ours against the paper's settings, each on its own",
+        command: "cargo bench -p cosurf-tests --bench paper",
+        measure: |folder| benches::ours("paper", &[], folder),
     },
     Run {
         name: "poses",

@@ -23,9 +23,9 @@ use rayon::prelude::*;
 use super::depth::ray_y;
 use super::plane::Plane;
 use super::shown::{Shown, band_row, bands};
-use crate::backend::{MultiviewWeights, SurfaceLoss};
+use crate::backend::{MultiviewWeights, PatchSide, SurfaceLoss};
 use crate::layout::constants::{
-    DISAGREEMENT_MAX, MASKED_LUMA, NEAR, PATCH, PATCH_REACH, PATCH_SIDE, RETURN_MAX_PX, VARIANCES_MIN,
+    DISAGREEMENT_MAX, MASKED_LUMA, NEAR, PATCH_MAX, RETURN_MAX_PX, VARIANCES_MIN,
 };
 use crate::layout::planes::{DISTANCE, NORMAL};
 use crate::layout::sampling::sampled_pixel;
@@ -140,6 +140,7 @@ impl Multiview {
             reprojection: weights.reprojection / samples as f32,
             ncc: weights.ncc / samples as f32,
             cell,
+            patch: weights.patch,
             draw: weights.draw,
         };
         self.sums.resize(scene.image.tiles()[1], Sums::default());
@@ -160,6 +161,7 @@ struct Weights {
     reprojection: f32,
     ncc: f32,
     cell: usize,
+    patch: PatchSide,
     draw: u64,
 }
 
@@ -197,6 +199,17 @@ impl Kernel for MultiviewBand<'_> {
 
     #[inline(always)]
     fn run<L: Lanes>(self) -> Sums {
+        match self.weights.patch {
+            PatchSide::Px3 => self.run_with::<L, 3, 9>(),
+            PatchSide::Px7 => self.run_with::<L, 7, PATCH_MAX>(),
+        }
+    }
+}
+
+impl MultiviewBand<'_> {
+    /// With patches of `SIDE` px, which have `PATCH` pixels.
+    #[inline(always)]
+    fn run_with<L: Lanes, const SIDE: usize, const PATCH: usize>(self) -> Sums {
         let Self { scene, pair, weights, band, gradient } = self;
         let mut sums = Sums::default();
         let [width, _] = scene.image.size_px();
@@ -209,7 +222,7 @@ impl Kernel for MultiviewBand<'_> {
                 sums.returned += 1;
                 sums.reprojection += f64::from(trust * e);
                 let mut given = through_depth(&sampled, weights.reprojection * trust * by_depth);
-                if let Some((disagreement, by_plane)) = patches::<L>(scene, pair, &sampled) {
+                if let Some((disagreement, by_plane)) = patches::<L, SIDE, PATCH>(scene, pair, &sampled) {
                     sums.matched += 1;
                     sums.ncc += f64::from(trust * disagreement);
                     let by_plane = each!([0, 1, 2], |k| by_plane[k] * weights.ncc * trust);
@@ -296,10 +309,15 @@ fn through_ratio<L: Lanes>(sampled: &Sampled, v_ratio: [f32; 3], into: &mut Plan
 /// `m = N / D`. `None` if a patch leaves its picture or is masked in part, the plane is behind a camera, or the patches do
 /// not match.
 #[inline(always)]
-fn patches<L: Lanes>(scene: &Shown, pair: &Pair, sampled: &Sampled) -> Option<(f32, [f32; 3])> {
+fn patches<L: Lanes, const SIDE: usize, const PATCH: usize>(
+    scene: &Shown,
+    pair: &Pair,
+    sampled: &Sampled,
+) -> Option<(f32, [f32; 3])> {
     let [width, height] = scene.image.size_px();
     let (x, y) = (sampled.x, sampled.y);
-    if x < PATCH_REACH || y < PATCH_REACH || x + PATCH_REACH >= width || y + PATCH_REACH >= height {
+    let reach = SIDE / 2;
+    if x < reach || y < reach || x + reach >= width || y + reach >= height {
         return None;
     }
     let inv_distance = 1.0 / sampled.distance;
@@ -309,7 +327,7 @@ fn patches<L: Lanes>(scene: &Shown, pair: &Pair, sampled: &Sampled) -> Option<(f
     // plane.
     let mut slopes = [0.0f32; PATCH];
     for i in 0..PATCH {
-        let (px, py) = (x + i % PATCH_SIDE - PATCH_REACH, y + i / PATCH_SIDE - PATCH_REACH);
+        let (px, py) = (x + i % SIDE - reach, y + i / SIDE - reach);
         let r = ray(scene.view, px as f32, py as f32);
         let inverse_depth = -dot::<L>(ratio, r);
         // The plane is behind the camera of this view.
@@ -332,7 +350,7 @@ fn patches<L: Lanes>(scene: &Shown, pair: &Pair, sampled: &Sampled) -> Option<(f
         there[i] = sample.value;
         slopes[i] = sample.slope[0] * q.by_px[0] + sample.slope[1] * q.by_px[1];
     }
-    let correlation = Correlation::of::<L>(&here, &there);
+    let correlation = Correlation::of::<L, PATCH>(&here, &there);
     let disagreement = correlation.disagreement();
     if correlation.covariance <= 0.0 || disagreement >= DISAGREEMENT_MAX {
         return None;
@@ -340,11 +358,7 @@ fn patches<L: Lanes>(scene: &Shown, pair: &Pair, sampled: &Sampled) -> Option<(f
     let v_there = correlation.by_second(&here, &there);
     let mut by_plane = [0.0; 3];
     for i in 0..PATCH {
-        let r = ray(
-            scene.view,
-            (x + i % PATCH_SIDE) as f32 - PATCH_REACH as f32,
-            (y + i / PATCH_SIDE) as f32 - PATCH_REACH as f32,
-        );
+        let r = ray(scene.view, (x + i % SIDE) as f32 - reach as f32, (y + i / SIDE) as f32 - reach as f32);
         let v = v_there[i] * slopes[i];
         by_plane = std::array::from_fn(|k| by_plane[k] - v * r[k]);
     }
@@ -373,7 +387,7 @@ struct Correlation {
 
 impl Correlation {
     #[inline(always)]
-    fn of<L: Lanes>(a: &[f32; PATCH], b: &[f32; PATCH]) -> Self {
+    fn of<L: Lanes, const PATCH: usize>(a: &[f32; PATCH], b: &[f32; PATCH]) -> Self {
         let n = PATCH as f32;
         let means = [a, b].map(|patch| patch.iter().sum::<f32>() / n);
         let (mut aa, mut bb, mut ab) = (0.0, 0.0, 0.0);
@@ -393,7 +407,7 @@ impl Correlation {
     }
 
     /// The derivative of [`Self::disagreement`] with respect to each pixel of the second patch.
-    fn by_second(&self, a: &[f32; PATCH], b: &[f32; PATCH]) -> [f32; PATCH] {
+    fn by_second<const PATCH: usize>(&self, a: &[f32; PATCH], b: &[f32; PATCH]) -> [f32; PATCH] {
         let scale = self.scale();
         let by_covariance = -2.0 * self.covariance * scale / PATCH as f32;
         let ratio = self.covariance * scale;

@@ -9,18 +9,25 @@ use glam::{DMat3, DVec2, DVec3};
 
 use super::super::surface::Surface;
 use crate::backend::{
-    MultiviewWeights, SurfaceLoss, SurfaceWeights, TargetRgb, TargetSurface, Targets, TeacherLoss,
+    MultiviewWeights, PatchSide, SurfaceLoss, SurfaceWeights, TargetRgb, TargetSurface, Targets, TeacherLoss,
     TeacherWeights,
 };
-use crate::layout::constants::{NORMAL_REACH, PATCH_REACH};
+use crate::layout::constants::NORMAL_REACH;
 use crate::layout::planes::{DISTANCE, NORMAL, PLANES_GEOMETRY, TRANSMITTANCE};
 use crate::layout::tiles::TileImage;
 use crate::layout::view::ViewParams;
 use crate::random::{Purpose, Random};
 use crate::simd::{Isa, Row};
 
-const MULTIVIEW: MultiviewWeights = MultiviewWeights { reprojection: 0.4, ncc: 1.3, cell_px: 1, draw: 5 };
-const WEIGHTS: SurfaceWeights = SurfaceWeights { normal: 0.7, multiview: Some(MULTIVIEW) };
+const MULTIVIEW: MultiviewWeights =
+    MultiviewWeights { reprojection: 0.4, ncc: 1.3, cell_px: 1, patch: PatchSide::Px3, draw: 5 };
+const WEIGHTS: SurfaceWeights = weights(PatchSide::Px3);
+
+/// The weights with patches of this side.
+const fn weights(patch: PatchSide) -> SurfaceWeights {
+    SurfaceWeights { normal: 0.7, multiview: Some(MultiviewWeights { patch, ..MULTIVIEW }) }
+}
+
 /// Direction of the normal of the ground, which is the plane `PLANE · X = LEVEL` in the world.
 const PLANE: DVec3 = DVec3::new(0.05, -0.08, 1.0);
 const LEVEL: f64 = 0.3;
@@ -119,10 +126,16 @@ fn tiles(blend: &Blend) -> TileImage {
 
 /// The losses and gradients of the engine.
 fn engine(isa: Isa, here: &Blend, there: &Blend, photographs: [&[f32]; 2]) -> (SurfaceLoss, TileImage) {
-    engine_on(isa, here, there, photographs.map(TargetRgb::Floats))
+    engine_on(isa, here, there, photographs.map(TargetRgb::Floats), &WEIGHTS)
 }
 
-fn engine_on(isa: Isa, here: &Blend, there: &Blend, photographs: [TargetRgb; 2]) -> (SurfaceLoss, TileImage) {
+fn engine_on(
+    isa: Isa,
+    here: &Blend,
+    there: &Blend,
+    photographs: [TargetRgb; 2],
+    weights: &SurfaceWeights,
+) -> (SurfaceLoss, TileImage) {
     let mut surface = Surface::with_capacity(here.camera.size_px, 2);
     surface.keep_neighbour(isa, &tiles(there), &ViewParams::new(&there.camera, 0));
     let image = tiles(here);
@@ -130,7 +143,7 @@ fn engine_on(isa: Isa, here: &Blend, there: &Blend, photographs: [TargetRgb; 2])
     gradient.rows_mut().fill(Row([f32::NAN; 16]));
     let targets = Targets { neighbour_rgb: Some(photographs[1]), ..Targets::colors(photographs[0]) };
     let view = ViewParams::new(&here.camera, 0);
-    let loss = surface.losses(isa, &image, &view, &targets, &WEIGHTS, &mut gradient);
+    let loss = surface.losses(isa, &image, &view, &targets, weights, &mut gradient);
     (loss, gradient)
 }
 
@@ -173,14 +186,17 @@ struct Reference {
     neighbour: Camera,
     neighbour_depth: Map,
     luma: [Map; 2],
+    /// Number of pixels of a patch on each side of its centre.
+    reach: usize,
 }
 
 impl Reference {
-    fn new(there: &Blend, photographs: [&[f32]; 2]) -> Self {
+    fn new(there: &Blend, photographs: [&[f32]; 2], reach: usize) -> Self {
         let size = there.camera.size_px.map(|side| side as usize);
         let map = |values: Vec<f64>| Map { size, values };
         let luma = |rgb: &[f32]| map(rgb.chunks_exact(3).map(|p| f64::from(p[0])).collect());
-        Self { neighbour: there.camera, neighbour_depth: map(depths(there)), luma: photographs.map(luma) }
+        let (neighbour_depth, luma) = (map(depths(there)), photographs.map(luma));
+        Self { neighbour: there.camera, neighbour_depth, luma, reach }
     }
 
     fn normal(&self, here: &Blend) -> f64 {
@@ -232,7 +248,7 @@ impl Reference {
     fn disagreement(&self, here: &Blend, x: usize, y: usize) -> Option<(f64, f64)> {
         let camera = &here.camera;
         let [w, h] = camera.size_px.map(|side| side as usize);
-        let reach = PATCH_REACH;
+        let reach = self.reach;
         if x < reach || y < reach || x + reach >= w || y + reach >= h {
             return None;
         }
@@ -325,11 +341,21 @@ fn worst(gradient: &TileImage, numeric: &[(usize, usize, f64)], w: usize) -> (f6
 
 #[test]
 fn surface_losses_and_gradients_agree_with_the_definition() {
+    agrees_with_the_definition(PatchSide::Px3, 1);
+}
+
+#[test]
+fn losses_and_gradients_of_wide_patches_agree_with_the_definition() {
+    agrees_with_the_definition(PatchSide::Px7, 3);
+}
+
+/// With patches that reach so many pixels from their centres.
+fn agrees_with_the_definition(patch: PatchSide, reach: usize) {
     // With these seeds, no difference in the losses is so small that f32 loses its sign.
     let [here, there] = [blend(cameras()[0], 0.03, 3), blend(cameras()[1], 0.03, 2)];
     let photographs = cameras().map(|camera| photograph(&camera));
     let photographs = [photographs[0].as_slice(), photographs[1].as_slice()];
-    let reference = Reference::new(&there, photographs);
+    let reference = Reference::new(&there, photographs, reach);
     let decisions = reference.decide(&here);
     let [normal, reprojection, ncc] = reference.losses(&here, &decisions);
     let n = decisions.len() as f64;
@@ -353,7 +379,8 @@ fn surface_losses_and_gradients_agree_with_the_definition() {
     }
     let w = width(&here.camera);
     for isa in Isa::available() {
-        let (loss, mut gradient) = engine(isa, &here, &there, photographs);
+        let (loss, mut gradient) =
+            engine_on(isa, &here, &there, photographs.map(TargetRgb::Floats), &weights(patch));
         for (got, expected) in [
             (loss.normal, normal),
             (loss.reprojection, reprojection),
@@ -470,7 +497,7 @@ fn masked_pixels_of_view_and_neighbour_give_no_surface_loss() {
     let [plain, half, all] = [0..0, 0..18, 0..37].map(|hidden| bytes(&here, hidden));
     let [plain_there, all_there] = [0..0, 0..37].map(|hidden| bytes(&there, hidden));
     for isa in Isa::available() {
-        let run = |a: &[u8], b: &[u8]| engine_on(isa, &here, &there, [a, b].map(TargetRgb::Bytes));
+        let run = |a: &[u8], b: &[u8]| engine_on(isa, &here, &there, [a, b].map(TargetRgb::Bytes), &WEIGHTS);
         let (seen, _) = run(&plain, &plain_there);
         let (part, gradient) = run(&half, &plain_there);
         assert!(part.normal > 0.1 * seen.normal && part.normal < 0.9 * seen.normal, "{part:?}, {seen:?}");

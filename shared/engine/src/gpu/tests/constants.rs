@@ -8,19 +8,19 @@ use cosurf_scene::picture::MASKED;
 use naga::front::wgsl;
 use naga::{Expression, Handle, Literal, Module};
 
-use crate::backend::{BETA_1, BETA_2, EPSILON};
+use crate::backend::{BETA_1, BETA_2, EPSILON, PatchSide};
 use crate::budget::PARTIALS;
 use crate::gpu::context::SUBGROUPS;
 use crate::gpu::pass::Constants;
 use crate::gpu::recorder::GROUPS_MAX;
 use crate::gpu::sort::{BLOCK, DIGITS, GROUP};
 use crate::gpu::structs::{PAIRS, PAIRS_WANTED, SPLATS, VISIBLE};
-use crate::gpu::surface::SAMPLES_AT_ONCE;
+use crate::gpu::surface::{SAMPLES_AT_ONCE, reach_of};
 use crate::gpu::train::{PIPELINED, SUMS};
 use crate::layout::constants::{
     ALPHA_MAX, ALPHA_MIN, DISAGREEMENT_MAX, GRAZING, LOW_PASS_PX2, LUMA_WEIGHTS, MASKED_LUMA, NEAR,
-    NORMAL_REACH, OBSERVED_TRANSMITTANCE, PATCH, PATCH_REACH, PATCH_SIDE, RETURN_MAX_PX, SLACK_PX, SSIM_C1,
-    SSIM_C2, SSIM_REACH, SSIM_TAPS, SURFACE_ALPHA, TRANSMITTANCE_MIN, VARIANCES_MIN, ssim_window,
+    NORMAL_REACH, OBSERVED_TRANSMITTANCE, PATCH_MAX, RETURN_MAX_PX, SLACK_PX, SSIM_C1, SSIM_C2, SSIM_REACH,
+    SSIM_TAPS, SURFACE_ALPHA, TRANSMITTANCE_MIN, VARIANCES_MIN, ssim_window,
 };
 use crate::layout::harmonics;
 use crate::layout::planes::{DISTANCE, NORMAL, PLANES_GEOMETRY, TRANSMITTANCE};
@@ -75,7 +75,7 @@ fn shared() -> BTreeMap<&'static str, Value> {
         PAIRS MEAN QUAT LOG_SCALE OPACITY TRANSMITTANCE NORMAL DISTANCE PLANES_GEOMETRY GRADIENT_RGB GRADIENT_ROWS
         STAT_SCREEN_GRADIENT STAT_VIEWS STAT_ABSOLUTE_GRADIENT SQUARED_WEIGHT HITS OBSERVED OBSERVED_TRANSMITTANCE
         SLACK_PX GRAZING SURFACE_ALPHA NORMAL_REACH SSIM_REACH SSIM_TAPS SSIM_C1 SSIM_C2 LUMA_WEIGHTS PARTIALS
-        RECORD_LEN SAMPLES_AT_ONCE RETURN_MAX_PX PATCH_REACH PATCH_SIDE PATCH VARIANCES_MIN DISAGREEMENT_MAX MASKED_LUMA BETA_1
+        RECORD_LEN SAMPLES_AT_ONCE RETURN_MAX_PX PATCH_MAX VARIANCES_MIN DISAGREEMENT_MAX MASKED_LUMA BETA_1
         BETA_2 EPSILON
     };
     let renamed = [
@@ -165,6 +165,9 @@ fn every_override_is_set_and_every_setting_has_an_override() {
         }
         let product: f64 = constants.iter().map(|(_, value)| value).product();
         assert!(product <= (TILE * TILE) as f64, "pairs would meet in a chunk of pixels");
+    }
+    for patch in [PatchSide::Px3, PatchSide::Px7] {
+        assert_set(cosurf_shaders::MULTIVIEW, reach_of(patch));
     }
     for (size, constants) in SUBGROUPS {
         assert_set(cosurf_shaders::RASTERIZE_BACKWARD_BY_PIXEL, constants);

@@ -9,8 +9,8 @@ use super::adapter::gpu;
 use super::compare::{compare, on_cpu, on_gpu};
 use super::forward::centered;
 use crate::backend::{
-    Backend, Channels, LossWeights, Losses, MultiviewWeights, Rendering, SurfaceWeights, TargetRgb,
-    TargetSurface, Targets, TeacherWeights,
+    Backend, Channels, LossWeights, Losses, MultiviewWeights, PatchSide, Rendering, SurfaceWeights,
+    TargetRgb, TargetSurface, Targets, TeacherWeights,
 };
 use crate::random::{Purpose, Random};
 use crate::render::Renderer;
@@ -113,7 +113,13 @@ fn hide(rgb: &mut [u8], size_px: [u32; 2], corner: [usize; 2]) {
 /// teacher. `None` gives the weights of all.
 fn weights(only: Option<usize>) -> LossWeights {
     let at = |k: usize, weight: f32| if only.is_none_or(|only| only == k) { weight } else { 0.0 };
-    let multiview = MultiviewWeights { reprojection: at(1, 0.2), ncc: at(2, 0.7), cell_px: 2, draw: 9 };
+    let multiview = MultiviewWeights {
+        reprojection: at(1, 0.2),
+        ncc: at(2, 0.7),
+        cell_px: 2,
+        patch: PatchSide::Px3,
+        draw: 9,
+    };
     let surface = SurfaceWeights { normal: at(0, 0.5), multiview: Some(multiview) };
     let teacher = TeacherWeights { depth: at(3, 0.3), normal: at(3, 0.1) };
     LossWeights {
@@ -147,12 +153,17 @@ fn surface_losses_agree_with_the_cpu() {
     model.means.iter_mut().flatten().for_each(|v| *v += 0.01 * random.normal());
     for size_px in [[120, 90], [5, 4], [1, 1]] {
         let shown = Shown::new(&truth, size_px);
-        for only in [Some(0), Some(1), Some(2), Some(3), None] {
-            let weights = weights(only);
+        let narrow = [Some(0), Some(1), Some(2), Some(3), None].map(|only| (only, PatchSide::Px3));
+        for (only, patch) in narrow.into_iter().chain([(Some(2), PatchSide::Px7)]) {
+            let mut weights = weights(only);
+            weights.surface.iter_mut().flat_map(|its| &mut its.multiview).for_each(|its| its.patch = patch);
             let (got_losses, got) = shown.step(&mut on_gpu(&gpu, &model, size_px), &weights);
             let (losses, expected) = shown.step(&mut on_cpu(&model, size_px), &weights);
             let (count, off) = compare(&got, &expected);
-            println!("{size_px:?} {only:?}: {off} of {count} gradients are off; {:.4?}", numbers(&losses));
+            println!(
+                "{size_px:?} {only:?} {patch:?}: {off} of {count} gradients are off; {:.4?}",
+                numbers(&losses)
+            );
             for (got, expected) in numbers(&got_losses).into_iter().zip(numbers(&losses)) {
                 assert!((got - expected).abs() <= LOSS_OFF_MAX, "{only:?}: {got_losses:?} is not {losses:?}");
             }
