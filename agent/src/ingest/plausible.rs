@@ -4,7 +4,7 @@
 
 use std::fmt;
 
-use cosurf_geo::{ControlPoint, GeoError, Sighting, Similarity, SiteFrame, Up};
+use cosurf_geo::{ControlPoint, GeoError, Sighting, Similarity, SiteFrame, Up, median};
 use glam::{DMat2, DVec2, DVec3};
 
 use super::gps::{ELSEWHERE_M, a_few, geodetic};
@@ -42,8 +42,9 @@ impl Contradiction {
         }
         let middle = sightings.iter().map(|its| its.enu_m).sum::<DVec3>() / sightings.len() as f64;
         let flat = |vector: DVec3| vector.truncate().length();
-        let off_m = median(sightings.iter().map(|its| flat(similarity.apply(its.model) - its.enu_m)));
-        let apart_m = median(sightings.iter().map(|its| flat(its.enu_m - middle)));
+        let off_m =
+            median(sightings.iter().map(|its| flat(similarity.apply(its.model) - its.enu_m)).collect());
+        let apart_m = median(sightings.iter().map(|its| flat(its.enu_m - middle)).collect());
         Self { places, off_m, apart_m, share: off_m / apart_m.max(f64::MIN_POSITIVE) }
     }
 
@@ -61,12 +62,6 @@ impl fmt::Display for Contradiction {
             "{places} lie {off_m:.1} m from where the poses put them, and only {apart_m:.1} m from their own middle (medians)"
         )
     }
-}
-
-fn median(of: impl Iterator<Item = f64>) -> f64 {
-    let mut sorted: Vec<f64> = of.collect();
-    sorted.sort_by(f64::total_cmp);
-    sorted[sorted.len() / 2]
 }
 
 fn refused(reason: String) -> GeoError {

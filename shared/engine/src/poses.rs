@@ -24,14 +24,14 @@ const ROTATION: f64 = 0.035;
 /// Standard deviation of given positions along each axis, as a share of the scene's extent.
 const TRANSLATION: f64 = 0.005;
 
-/// Poses are not exact if the median shift between photograph and rendering is larger than [`BESIDE_MIN`], a share of the
+/// Poses are not exact if the median shift between photograph and rendering is larger than [`SHIFT_MIN`], a share of the
 /// picture's long side, and explains more than [`EXPLAINED_MIN`] of their squared difference; or if the shift is larger than
-/// [`BESIDE_SURE`]. Of exact poses, the first is 0.0005 to 0.0010, but up to 0.0022 if the model is
+/// [`SHIFT_SURE`]. Of exact poses, the first is 0.0005 to 0.0010, but up to 0.0022 if the model is
 /// blurred (300 steps of gt_tiny), and the second is 0.003 to 0.021; with poses that are off by 0.2° they are 0.0026 to
 /// 0.0044 and 0.027 to 0.12 (Caliterra, Boruszyn, rendered Boruszyn, gt_tiny; 160 to 240 px).
-const BESIDE_MIN: f64 = 0.0012;
+const SHIFT_MIN: f64 = 0.0012;
 const EXPLAINED_MIN: f64 = 0.022;
-const BESIDE_SURE: f64 = 0.005;
+const SHIFT_SURE: f64 = 0.005;
 
 /// Sides of the blocks of pixels in which a camera is aligned: one part in so many of the picture's long side at first, then
 /// one in so many, but at least [`BLOCK_PX_MIN`].
@@ -146,7 +146,7 @@ pub(crate) struct Poses {
     until: u32,
     views: Vec<View>,
     /// Medians over the views that have been measured; 0 if they are too few.
-    beside_px: f64,
+    shift_px: f64,
     explained: f64,
 }
 
@@ -157,7 +157,7 @@ struct View {
     motion: [f32; MOTION],
     /// The shift between photograph and rendering at the given pose, and the share of their squared difference that it
     /// explains; 0 if not measured.
-    beside_px: f32,
+    shift_px: f32,
     explained: f32,
     /// How far the picture has moved, px.
     moved_px: f32,
@@ -177,7 +177,7 @@ impl Poses {
         let view = |camera: &Camera| View {
             given: camera.cam_from_world,
             motion: [0.0; MOTION],
-            beside_px: 0.0,
+            shift_px: 0.0,
             explained: 0.0,
             moved_px: 0.0,
         };
@@ -193,7 +193,7 @@ impl Poses {
             fine_from,
             until,
             views,
-            beside_px: 0.0,
+            shift_px: 0.0,
             explained: 0.0,
         })
     }
@@ -206,14 +206,14 @@ impl Poses {
     /// What is known after this many steps.
     pub(crate) fn found(&self, steps_done: u32) -> Option<PosesFound> {
         let learnt = self.are_learnt();
-        let of = |view: &View| if learnt { view.moved_px } else { view.beside_px };
+        let of = |view: &View| if learnt { view.moved_px } else { view.shift_px };
         (learnt || steps_done >= self.known_from)
             .then(|| PosesFound { learnt, median_px: median(self.views.iter().map(of)) })
     }
 
     fn are_learnt(&self) -> bool {
-        let beside = self.beside_px / self.long_side_px;
-        let are_wrong = beside > BESIDE_SURE || beside > BESIDE_MIN && self.explained > EXPLAINED_MIN;
+        let shift = self.shift_px / self.long_side_px;
+        let are_wrong = shift > SHIFT_SURE || shift > SHIFT_MIN && self.explained > EXPLAINED_MIN;
         self.choice == PoseChoice::Learn || are_wrong
     }
 
@@ -242,7 +242,7 @@ impl Poses {
         let Some(Found { motion, moved_px, explained }) = found else { return };
         if is_measured {
             view.set_motion(&motion);
-            view.beside_px = moved_px as f32;
+            view.shift_px = moved_px as f32;
             view.explained = explained as f32;
             self.summarize();
             return;
@@ -271,9 +271,9 @@ impl Poses {
 
     /// Computes the medians.
     fn summarize(&mut self) {
-        let measured: Vec<&View> = self.views.iter().filter(|view| view.beside_px > 0.0).collect();
+        let measured: Vec<&View> = self.views.iter().filter(|view| view.shift_px > 0.0).collect();
         if 2 * measured.len() >= self.views.len() {
-            self.beside_px = median(measured.iter().map(|view| view.beside_px));
+            self.shift_px = median(measured.iter().map(|view| view.shift_px));
             self.explained = median(measured.iter().map(|view| view.explained));
         }
     }
@@ -345,11 +345,11 @@ impl View {
 
     fn to_numbers(self) -> [f32; NUMBERS] {
         let [a, b, c, d, e, f] = self.motion;
-        [a, b, c, d, e, f, self.beside_px, self.explained, self.moved_px]
+        [a, b, c, d, e, f, self.shift_px, self.explained, self.moved_px]
     }
 
-    fn set_numbers(&mut self, [a, b, c, d, e, f, beside_px, explained, moved_px]: [f32; NUMBERS]) {
-        *self = Self { motion: [a, b, c, d, e, f], beside_px, explained, moved_px, ..*self };
+    fn set_numbers(&mut self, [a, b, c, d, e, f, shift_px, explained, moved_px]: [f32; NUMBERS]) {
+        *self = Self { motion: [a, b, c, d, e, f], shift_px, explained, moved_px, ..*self };
     }
 }
 

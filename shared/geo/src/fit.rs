@@ -23,7 +23,7 @@ use crate::error::GeoError;
 use crate::georeference::{FitUncertainty, GpsResiduals};
 use crate::similarity::Similarity;
 use glam::DVec3;
-pub use observation::Sighting;
+pub use observation::{Sighting, median};
 use refine::{JUDGED_MIN, Refined, Spread, refine, worth};
 use start::start;
 pub use up::Up;

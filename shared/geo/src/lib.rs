@@ -47,7 +47,7 @@ mod table;
 
 pub use ellipsoid::Geodetic;
 pub use error::GeoError;
-pub use fit::{Fit, Judged, Sighting, Up, fit};
+pub use fit::{Fit, Judged, Sighting, Up, fit, median};
 pub use gcp::{ControlPoint, Mark, read_gcp_list};
 pub use geo_txt::{PhotoPlace, read_geo_txt};
 pub use geoid::Geoid;

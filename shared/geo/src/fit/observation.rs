@@ -28,8 +28,9 @@ impl Sighting {
     }
 }
 
-/// The median; 0 of nothing.
-pub(crate) fn median(mut values: Vec<f64>) -> f64 {
+/// The median, of an even number the larger of the two in the middle; 0 of nothing.
+#[must_use]
+pub fn median(mut values: Vec<f64>) -> f64 {
     let middle = values.len() / 2;
     if values.is_empty() {
         return 0.0;
