@@ -64,6 +64,9 @@ pub(super) struct TrainArgs {
     /// Train colour only, without the surface losses: faster, but depth and normals are not accurate
     #[arg(long)]
     color_only: bool,
+    /// The model will be merged with others, as those of `run` are: it gets more splats, and keeps what only one picture shows
+    #[arg(long)]
+    for_merge: bool,
     /// Train with the paper's settings (CoSurfGS): its weights of the surface losses, patches of 7 × 7 pixels, and its pruning of
     /// 0.2 of the splats. For comparisons; slower, and by our measurements less accurate
     #[arg(long, conflicts_with_all = ["color_only", "prune", "prune_at", "prune_score"])]
@@ -147,7 +150,7 @@ pub(super) fn run(args: &TrainArgs) -> Result<()> {
         exposure: args.exposure,
         poses: args.poses,
         init: resolve_init(args.init.as_ref(), &args.out),
-        one_of_many: false,
+        one_of_many: args.for_merge,
     };
     let mut progress = Progress::new(args.common.json);
     let report = train(&plan, &args.out, args.fresh, &mut progress)?;
