@@ -4,6 +4,11 @@
 //! If all cameras moved alike, splats could follow and no picture would change. So that the frame stays that of the given
 //! poses, the mean motion of all cameras and the growth of their distances are taken out again.
 //!
+//! A single view whose pose is wrong by degrees is neither corrected nor left out. Its rendering resembles its photograph far
+//! less than those of the others do, after an eighth of the steps. But leaving out those that correlate by less than 0.55, 5 to 7
+//! of 8 wrong ones, changed the held-out PSNR by -0.1, -1.9, +0.1 and +1.4 dB (Caliterra, Boruszyn, rendered Boruszyn, gt_tiny;
+//! 160 px, 400 steps): what these views show is missing then.
+//!
 //! Whether poses are exact shows in the first part of a training: the model is a compromise between all views, and for each
 //! view the shift between its photograph and its rendering is measured. Until all are measured, no camera moves, so that exact
 //! poses give the same bits as fixed ones.
