@@ -91,6 +91,7 @@ pub fn is_without_place(data: &Path) -> bool {
 pub fn ingest(plan: &IngestPlan, tell: &mut dyn FnMut(AgentEvent)) -> Result<Ingested, IngestError> {
     let work = plan.out.join(WORK);
     refuse_occupied(&plan.out, &work)?;
+    refuse_own_pictures(plan)?;
     let _lock = FolderLock::take(&work, "cosurf-agent ingest")?;
     let colmap = Colmap::find(&plan.colmap)?;
     if Dataset::has_poses(&plan.photographs) {
@@ -171,6 +172,17 @@ fn refuse_occupied(out: &Path, work: &Path) -> Result<(), IngestError> {
         Err(cause) => return Err(SceneError::io(out, cause).into()),
     };
     if is_ours || is_empty { Ok(()) } else { Err(IngestError::Occupied { folder: out.to_owned() }) }
+}
+
+/// The pictures of a dataset must not be taken for photographs: they would be undistorted twice, and replaced.
+fn refuse_own_pictures(plan: &IngestPlan) -> Result<(), IngestError> {
+    let [photographs, own] = [&plan.photographs, &plan.out.join("images")].map(fs::canonicalize);
+    match (photographs, own) {
+        (Ok(photographs), Ok(own)) if photographs.starts_with(&own) => {
+            Err(IngestError::OwnPictures { photographs: plan.photographs.clone(), out: plan.out.clone() })
+        }
+        _ => Ok(()),
+    }
 }
 
 /// Names and reasons of photographs without a pose in the chosen reconstruction.

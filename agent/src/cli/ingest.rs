@@ -73,7 +73,7 @@ fn print(ingested: &Ingested, args: &IngestArgs) -> Result<()> {
         }
         None => writeln!(
             stdout,
-            "scale and place are unknown, only z is up: put a geo.txt or a gcp_list.txt beside the photographs"
+            "scale and place are unknown, only z is up: put a geo.txt or a gcp_list.txt beside the photographs, or mend the one that is there"
         )?,
     }
     writeln!(stdout, "{}", args.out.display())?;

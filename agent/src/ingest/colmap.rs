@@ -112,7 +112,14 @@ impl Colmap {
             None => format!(
                 "it was killed ({status}), most often because memory ran out; run the same command again"
             ),
-            Some(_) => complaint.text().unwrap_or_else(|| status.to_string()),
+            Some(_) => match complaint.text().unwrap_or_else(|| status.to_string()) {
+                locked if locked.contains("database is locked") => {
+                    format!(
+                        "{locked}: COLMAP of a run that was killed still works; try again when it has ended"
+                    )
+                }
+                reason => reason,
+            },
         };
         let command = command[0].to_string_lossy().into_owned();
         Err(IngestError::Failed { command, reason, log: log.to_owned() })

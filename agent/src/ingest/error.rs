@@ -29,6 +29,14 @@ pub enum IngestError {
         /// The folder.
         folder: PathBuf,
     },
+    /// The photographs are the pictures of the dataset that is to be written.
+    #[error("{}: are the pictures of {} itself; name another folder with --out", photographs.display(), out.display())]
+    OwnPictures {
+        /// The folder of the photographs.
+        photographs: PathBuf,
+        /// The folder of the dataset.
+        out: PathBuf,
+    },
     /// COLMAP is not there.
     #[error(
         "{}: COLMAP cannot be started ({cause}); install it (on Debian and Ubuntu `apt-get install colmap`), or name it with --colmap",

@@ -4,8 +4,6 @@
 //! photographs that it misunderstands, and all others follow. The lens that it finds, GPS or control points show that: then it
 //! begins once more, with other draws.
 
-use std::path::Path;
-
 use cosurf_contract::{AgentEvent, IngestStage};
 
 use super::error::IngestError;
@@ -20,12 +18,9 @@ use super::stages::Stages;
 const POSED_MIN: usize = 3;
 /// Seeds of COLMAP's draws, in their order.
 const SEEDS: [u32; 2] = [0, 1];
-/// Share of a contradiction from which COLMAP begins once more. GPS of drones is off by 3 m, so right poses only reach it
-/// where a flight is about 10 m wide, which takes no time to repeat. The worst GPS seen so far was off by 17 m in a flight of
-/// 150 m: a share of 0.3.
-const AGAIN_FROM: f64 = 0.5;
-/// Share of a contradiction from which places tell nothing: they are farther from the poses than from each other.
-const NO_PLACE_FROM: f64 = 1.0;
+/// Largest share of a contradiction. GPS of drones is off by 3 m, so right poses only reach it where a flight is about 10 m wide,
+/// whose scale GPS does not tell. The worst GPS seen so far was off by 17 m in a flight of 150 m: a share of 0.3.
+const SHARE_MAX: f64 = 0.5;
 
 /// Poses in their place.
 pub(super) struct Found {
@@ -40,13 +35,27 @@ pub(super) struct Found {
 impl Found {
     /// Why the poses are likely to be wrong.
     fn doubt(&self) -> Option<String> {
-        let its = &self.placed.contradiction;
-        self.lens_fault.clone().or_else(|| (its.share > AGAIN_FROM).then(|| its.to_string()))
+        let its = &self.placed.doubt;
+        self.lens_fault.clone().or_else(|| (its.share > SHARE_MAX).then(|| its.to_string()))
     }
 
     /// The poses with less of it are likelier.
     fn doubts(&self) -> (bool, f64) {
-        (self.lens_fault.is_some(), self.placed.contradiction.share)
+        (self.lens_fault.is_some(), self.placed.doubt.share)
+    }
+
+    /// Notes what is still wrong after the last look. Places that contradict all poses do not count.
+    fn conclude(mut self) -> Self {
+        if let Some(fault) = &self.lens_fault {
+            let reason = format!("{fault}, so the pictures were stretched, or the poses are wrong");
+            self.placed.left_out.push(("square pixels".into(), reason));
+        }
+        if self.placed.contradiction.share > SHARE_MAX {
+            let reason = format!("{}; these places or the poses are wrong", self.placed.contradiction);
+            self.placed.left_out.push(("the place on the earth".into(), reason));
+            self.placed.georeference = None;
+        }
+        self
     }
 }
 
@@ -57,39 +66,40 @@ pub(super) fn find(
     places: Option<&Places>,
     photographs: usize,
 ) -> Result<Found, IngestError> {
-    let log = stages.log(IngestStage::Poses);
     let [first, again] = SEEDS;
-    let mut found = attempt(recipe, stages, &log, places, photographs, first)?;
-    if let Some(reason) = found.doubt() {
-        let reason = format!("{reason}; COLMAP looks for others");
-        stages.tell(AgentEvent::LeftOut { name: "the first poses".into(), reason });
-        found = match attempt(recipe, stages, &log, places, photographs, again) {
-            Ok(other) if other.doubts() < found.doubts() => other,
-            Ok(_) | Err(IngestError::NoPoses { .. }) => found,
-            Err(error) => return Err(error),
-        };
-    }
-    if found.placed.contradiction.share > NO_PLACE_FROM {
-        let reason = format!("{}; these places or the poses are wrong", found.placed.contradiction);
-        found.placed.left_out.push(("the place on the earth".into(), reason));
-        found.placed.georeference = None;
-    }
-    Ok(found)
+    let found = attempt(recipe, stages, places, photographs, first)?;
+    let Some(reason) = found.doubt() else { return Ok(found) };
+    let tell = |stages: &mut Stages, name: &str, reason: String| {
+        stages.tell(AgentEvent::LeftOut { name: name.to_owned(), reason });
+    };
+    tell(stages, "the first poses", format!("{reason}; COLMAP looks for others"));
+    let why = match attempt(recipe, stages, places, photographs, again) {
+        Ok(other) if other.doubts() < found.doubts() => return Ok(other.conclude()),
+        Ok(_) => "they are no better".to_owned(),
+        Err(error @ (IngestError::NoPoses { .. } | IngestError::Failed { .. })) => error.to_string(),
+        Err(error) => return Err(error),
+    };
+    tell(stages, "the second poses", format!("{why}; the first ones stay"));
+    Ok(found.conclude())
 }
 
 fn attempt(
     recipe: &Recipe,
     stages: &mut Stages,
-    log: &Path,
     places: Option<&Places>,
     photographs: usize,
     seed: u32,
 ) -> Result<Found, IngestError> {
+    let log = &stages.log(IngestStage::Poses);
     stages.run(&recipe.poses(seed)?).map_err(|error| error.or_no_poses(photographs, log))?;
-    let mut others = recipe.reconstructions(log)?;
+    let found = recipe.reconstructions(log);
+    if found.is_err() {
+        stages.forget(IngestStage::Poses)?; // COLMAP ended well, but wrote nothing: the next run tries again
+    }
+    let mut others = found?;
     let mut its = others.swap_remove(best_of(&others, places));
     if its.posed.len() < POSED_MIN {
-        return Err(IngestError::NoPoses { posed: its.posed.len(), photographs, log: log.to_owned() });
+        return Err(IngestError::NoPoses { posed: its.posed.len(), photographs, log: log.clone() });
     }
     // The adjustment knows that pixels are square, so it hides such a fault.
     let lens_fault = its.lenses.iter().find_map(Lens::fault);

@@ -37,8 +37,10 @@ pub(super) struct Placed {
     pub(super) left_out: Vec<(String, String)>,
     /// How many places of GPS, or how many control points without GPS, agree.
     pub(super) agreeing: usize,
-    /// How far the poses contradict the places.
+    /// How far the poses contradict the places that decide: three control points outweigh GPS.
     pub(super) contradiction: Contradiction,
+    /// How far they contradict any places.
+    pub(super) doubt: Contradiction,
     /// What an adjustment can go by, in ENU of the site.
     pub(super) centers: Vec<KnownCenter>,
     pub(super) points: Vec<KnownPoint>,
@@ -89,11 +91,9 @@ impl Places {
         let wrong = photographs.iter().zip(&gps).zip(&fit.gps).filter(|(_, its)| !its.agrees);
         left_out
             .extend(wrong.map(|((i, place), _)| wrong_gps(&its.posed[*i].name, off_m(place, &similarity))));
-        let contradiction = Contradiction::of("places of GPS", &gps, &similarity).or(Contradiction::of(
-            "control points",
-            &control,
-            &similarity,
-        ));
+        let by_gps = Contradiction::of("places of GPS", &gps, &similarity);
+        let by_control = Contradiction::of("control points", &control, &similarity);
+        let contradiction = if control.len() >= 3 { by_control } else { by_control.or(by_gps) };
         let judged = if gps.is_empty() { &fit.control } else { &fit.gps };
         let agreeing = judged.iter().filter(|its| its.agrees).count();
         let centers = photographs.into_iter().zip(&gps).zip(&fit.gps);
@@ -108,6 +108,7 @@ impl Places {
             left_out,
             agreeing,
             contradiction,
+            doubt: by_control.or(by_gps),
             centers,
             points,
         })
@@ -187,6 +188,7 @@ pub(super) fn upright(up: &Up) -> Placed {
         left_out: Vec::new(),
         agreeing: 0,
         contradiction: Contradiction::NONE,
+        doubt: Contradiction::NONE,
         centers: Vec::new(),
         points: Vec::new(),
     }

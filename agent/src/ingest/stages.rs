@@ -89,6 +89,11 @@ impl<'a> Stages<'a> {
         Ok(atomic::write_bytes(&stamp, key.as_bytes())?)
     }
 
+    /// Makes the next run do a stage again.
+    pub(super) fn forget(&self, kind: IngestStage) -> Result<(), IngestError> {
+        remove(&self.folder.join(format!("{}.stamp", name(kind))))
+    }
+
     fn work(&mut self, stage: &Stage, of: usize, log: &Path) -> Result<(), IngestError> {
         let begun = Instant::now();
         let tell = &mut *self.tell;

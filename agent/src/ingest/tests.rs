@@ -37,7 +37,7 @@ while [ $# -gt 0 ]; do
 done
 case "$command" in
 feature_extractor) echo "Processed file [4/4]";;
-mapper) mkdir "$out/0"; cp "$here/undistorted/sparse/"* "$out/0"; echo "$seed" > "$out/0/seed";;
+mapper) [ "$(cat "$here/fails")" = nothing ] && exit 0; mkdir "$out/0"; cp "$here/undistorted/sparse/"* "$out/0"; echo "$seed" > "$out/0/seed";;
 model_converter) cp "$here/text/"* "$out"; cp "$here/text-$(cat "$in/seed")/"* "$out" 2> "$here/none" || true;;
 image_undistorter) cp -r "$here/undistorted/." "$out"; cp "$in/images.bin" "$in/points3D.bin" "$out/sparse"
   case "$images" in *masks-as-pictures) cp -r "$images/." "$out/images";; esac;;
@@ -259,6 +259,40 @@ fn places_that_contradict_all_poses_do_not_count() {
     assert!(!ingested.unwrap().report.georeferenced && !flight.at("data/geo.json").exists());
     let told = left_out(&events).pop().unwrap();
     assert!(told.starts_with("the place on the earth: "), "{told}");
+}
+
+#[test]
+fn stretched_pictures_keep_their_pixels_and_are_told() {
+    let flight = Flight::new();
+    (0..2).for_each(|seed| misunderstand(&flight, seed, Some("1 OPENCV 64 48 50 65 32 24 0 0 0 0\n")));
+    let (ingested, calls, events) = flight.run(&flight.plan());
+    assert_eq!(calls, TWICE);
+    let told = left_out(&events);
+    let told_of = |name: &str| told.iter().any(|told| told.starts_with(name));
+    assert!(told.contains(&"the second poses: they are no better; the first ones stay".into()), "{told:?}");
+    assert!(told_of("square pixels: the focal length is 50 pixels along x, but 65 along y"), "{told:?}");
+    assert!(ingested.unwrap().report.georeferenced, "its places are right");
+}
+
+#[test]
+fn a_look_without_poses_is_not_taken_for_one_that_is_done() {
+    let flight = Flight::new();
+    fs::write(flight.at("fails"), "nothing").unwrap();
+    let error = flight.run(&flight.plan()).0.unwrap_err().to_string();
+    assert!(error.starts_with("COLMAP found the places of 0 of 4 photographs"), "{error}");
+    fs::write(flight.at("fails"), "").unwrap();
+    let (done, calls, _) = flight.run(&flight.plan());
+    done.unwrap();
+    assert_eq!(calls, ALL[2..]);
+}
+
+#[test]
+fn the_pictures_of_a_dataset_are_no_photographs_for_it() {
+    let flight = Flight::new();
+    flight.run(&flight.plan()).0.unwrap();
+    let again = IngestPlan { photographs: flight.at("data/images"), ..flight.plan() };
+    let error = flight.run(&again).0.unwrap_err().to_string();
+    assert!(error.contains("itself; name another folder with --out"), "{error}");
 }
 
 #[test]

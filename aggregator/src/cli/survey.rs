@@ -91,7 +91,7 @@ fn georeference(folder: &Path, args: &SurveyArgs) -> Result<Georeference> {
         (Some(origin), _) => Georeference::at(origin)?,
         (None, Some(georeference)) => georeference,
         (None, None) => bail!(
-            "{}: there is no {} with an origin, which tells where on the earth the model lies; give the world's origin with --origin LAT,LON,HEIGHT",
+            "{}: there is no {} with an origin, which tells where on the earth the model lies; give the world's origin with --origin LAT,LON,HEIGHT if its unit is the metre and z is up",
             folder.display(),
             Georeference::FILE
         ),

@@ -125,10 +125,13 @@ impl LensEquation {
         let focal = lens.focal_px.element_sum() / 2.0;
         let center = its.center_share * width.max(height);
         let unit = |at: usize| std::array::from_fn(|i| if i == at { 1.0 } else { 0.0 });
+        let [fx, fy] = lens.focal_px.to_array();
+        // Of stretched pictures, COLMAP finds the aspect well.
+        let stretched = if lens.fault().is_some() { fx - fy } else { 0.0 };
         let aspect = [1.0, -1.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0];
         [
             (unit(0), focal, its.focal_share * focal),
-            (aspect, 0.0, its.aspect_share * focal),
+            (aspect, stretched, its.aspect_share * focal),
             (unit(2), width / 2.0, center),
             (unit(3), height / 2.0, center),
             (unit(4), 0.0, its.radial),
