@@ -101,7 +101,7 @@ fn attempt(
     if its.posed.len() < POSED_MIN {
         return Err(IngestError::NoPoses { posed: its.posed.len(), photographs, log: log.clone() });
     }
-    // The adjustment knows that pixels are square, so it hides such a fault.
+    // As COLMAP found it: the adjustment holds pixels to be square to 5 %.
     let lens_fault = its.lenses.iter().find_map(Lens::fault);
     let placed = settle(&mut its, places, &mut |event| stages.tell(event))?;
     Ok(Found { its, placed, others, lens_fault })

@@ -14,7 +14,6 @@ use cosurf_scene::{Dataset, Ground, SceneError, atomic, files, footprints};
 use cosurf_wire::{DeviceId, IdError, SiteId};
 use serde::{Deserialize, Serialize};
 
-use super::rounds::round_folder;
 use crate::merge::MergeSettings;
 use crate::partition::{AssignedView, Cell, Division, PartitionError, invite, nearest_cell, partition};
 
@@ -280,6 +279,11 @@ fn open_record(settings: &Settings, out: &Path, fresh_site: SiteId) -> Result<Si
     let text = serde_json::to_string_pretty(&record).map_err(|error| bad(error.to_string()))?;
     atomic::write_bytes(&path, text.as_bytes())?;
     Ok(fresh_site)
+}
+
+/// The folder of a round that is not the last, in that of its mission.
+pub(super) fn round_folder(mission: &Path, round: u32) -> PathBuf {
+    mission.join(format!("round-{round}"))
 }
 
 /// Whether an agent of the mission in `out` has learnt anything, in any round.

@@ -6,9 +6,10 @@
 //!
 //! What it knows nothing about: agents and aggregators.
 
-use std::path::{Path, PathBuf};
+use std::path::PathBuf;
 
 use super::order::MissionOrder;
+use super::plan::round_folder;
 
 /// Epochs of the merges of all rounds but the last. On the same scene, two rounds of 1,250 and 630 steps end with 33.90,
 /// 33.91 and 33.94 dB if the first has 0, 1 and 5 epochs.
@@ -21,11 +22,6 @@ pub(super) struct Round {
     pub(super) order: MissionOrder,
     /// Folder of the round before; `None` for the first.
     pub(super) before: Option<PathBuf>,
-}
-
-/// The folder of a round that is not the last, in that of its mission.
-pub(super) fn round_folder(mission: &Path, round: u32) -> PathBuf {
-    mission.join(format!("round-{round}"))
 }
 
 /// The rounds of a mission, in order, and the last one. Each has its share of the steps, at least one.
