@@ -84,8 +84,7 @@ pub fn score(
             let photograph = mask::read(&view.path, view.mask.as_ref(), size_px, shrinking)?;
             if let Some(extent) = extent {
                 let rgb = TargetRgb::Bytes(&photograph.rgb);
-                let found = aligned(&camera, rgb, extent, &mut render)?;
-                rendering = render(&found)?;
+                (_, rendering) = aligned(&camera, rendering, rgb, extent, &mut render)?;
             }
             rendering.rgb.iter_mut().for_each(|v| *v = v.clamp(0.0, 1.0));
             let [psnr, ssim] = metrics::scores(&rendering.rgb, &photograph);

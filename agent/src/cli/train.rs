@@ -68,7 +68,7 @@ pub(super) struct TrainArgs {
     #[arg(long)]
     for_merge: bool,
     /// Train with the paper's settings (CoSurfGS): its weights of the surface losses, patches of 7 × 7 pixels, and its pruning of
-    /// 0.2 of the splats. For comparisons; slower, and by our measurements less accurate
+    /// 0.2 of the splats. For comparisons
     #[arg(long, conflicts_with_all = ["color_only", "prune", "prune_at", "prune_score"])]
     paper: bool,
     /// Share of the splats to prune; the least important splats are removed, 0 removes none

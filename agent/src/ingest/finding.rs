@@ -1,7 +1,7 @@
 //! Finds the poses with COLMAP, and puts them in their place.
 //!
 //! COLMAP draws at random where it begins. Now and then, about once in a hundred small flights, it begins with two
-//! photographs that it misunderstands, and all others follow. The lens that it finds, GPS or control points show that: then it
+//! photographs that it misunderstands, and all others follow. A lens with oblong pixels, GPS or control points reveal that: then it
 //! begins once more, with other draws.
 
 use cosurf_contract::{AgentEvent, IngestStage};

@@ -78,8 +78,8 @@ impl<'a> Judge<'a> {
         let photograph = mask::read(&view.path, mask, camera.size_px, Shrinking::AfterDecoding)?;
         if let Some(extent) = self.extent {
             let rgb = TargetRgb::Bytes(&photograph.rgb);
-            camera = aligned(&camera, rgb, extent, |camera| self.model.render(camera))?;
-            rendering = self.model.render(&camera)?;
+            (camera, rendering) =
+                aligned(&camera, rendering, rgb, extent, |camera| self.model.render(camera))?;
         }
         rendering.rgb.iter_mut().for_each(|value| *value = value.clamp(0.0, 1.0));
         let truth = self.yardsticks.truth.as_ref().map(|caster| caster.cast_areas(&camera));

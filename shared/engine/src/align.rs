@@ -1,4 +1,4 @@
-//! Direct alignment: by which small motion a camera's rendering would fit its photograph better. One step of Gauss and
+//! Direct alignment: finds the small motion of a camera with which its rendering fits the photograph better. One step of Gauss and
 //! Newton (Lucas and Kanade 1981) on brightness, in blocks of pixels, with the depth of the rendering.
 
 use cosurf_scene::picture::MASKED;
@@ -20,8 +20,8 @@ const BLOCKS_MAX: f64 = 2.0;
 /// Residuals above this multiple of the mean count less (Cauchy's weight; 2.38 standard deviations in Holland and Welsch
 /// 1977, and a mean is 0.8 standard deviations).
 const OUTLIERS_FROM: f64 = 3.0;
-/// A model errs alike in many blocks, so that so many count as one. With 16 instead of 1,600, cameras that look straight down
-/// drift by 0.3° and 0.3 m in Caliterra: both move the picture alike.
+/// Errors of neighbouring blocks are alike, so this many blocks tell no more than one independent block would. With 16 instead of
+/// 1,600, cameras that look straight down drift by 0.3° and 0.3 m in Caliterra: both move the picture alike.
 const ALIKE: f64 = 1600.0;
 
 /// A small motion of a camera: `cam_from_world` is first applied, then this rotation (axis times angle, rad) and translation,

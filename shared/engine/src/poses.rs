@@ -107,21 +107,24 @@ pub struct PosesFound {
     pub median_px: f64,
 }
 
-/// Aligns a camera with its photograph. `render` renders the model, in which cameras have this `extent`, world units.
+/// Aligns a camera, of which this is the `rendering`, with its photograph. `render` renders the model, in which cameras have this
+/// `extent`, world units. Returns the aligned camera and its rendering.
 pub fn aligned<E>(
     camera: &Camera,
+    mut rendering: Rendering,
     rgb: TargetRgb,
     extent: f64,
     mut render: impl FnMut(&Camera) -> Result<Rendering, E>,
-) -> Result<Camera, E> {
+) -> Result<(Camera, Rendering), E> {
     let mut now = *camera;
     for step in 0..STEPS {
         let prior = prior(Motion::between(&camera.cam_from_world, &now.cam_from_world), extent);
         let block_px = block_px(camera, step < COARSE_STEPS);
-        let Some(found) = align(&now, &render(&now)?, rgb, block_px, &prior) else { break };
+        let Some(found) = align(&now, &rendering, rgb, block_px, &prior) else { break };
         now.cam_from_world = found.motion.of(&now.cam_from_world);
+        rendering = render(&now)?;
     }
-    Ok(now)
+    Ok((now, rendering))
 }
 
 fn prior(motion: Motion, extent: f64) -> Prior {

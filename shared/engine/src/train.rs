@@ -52,8 +52,8 @@ impl Default for SurfaceSettings {
 }
 
 impl SurfaceSettings {
-    /// The paper's (CoSurfGS, "Device-side Training Procedure" and "Implementation Details"). Like PGSR, it compares every
-    /// pixel of pictures of this project's sizes.
+    /// The paper's (CoSurfGS, "Device-side Training Procedure" and "Implementation Details"). All pixels of a
+    /// picture are compared; PGSR compares at most 102,400 of them.
     #[must_use]
     pub fn paper() -> Self {
         let patch = PatchSide::Px7;
