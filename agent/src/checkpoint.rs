@@ -9,7 +9,7 @@ use std::fs::File;
 use std::io::{self, BufRead, BufReader, Read, Write};
 use std::path::{Path, PathBuf};
 
-use anyhow::{Context, Result, bail, ensure};
+use anyhow::{Context, Result};
 use cosurf_contract::{CHECKPOINT, Curve};
 use cosurf_engine::{AnyBackend, Backend, DeviceLost, Progress, Schedule, TrainSettings, Trainer};
 use cosurf_scene::{Camera, SceneError, SparsePoint, atomic, files};
@@ -88,6 +88,11 @@ pub struct Checkpoint {
 #[error("{0}")]
 pub struct DamagedCheckpoint(String);
 
+/// The checkpoint is whole, but this training cannot go on from it.
+#[derive(Debug, thiserror::Error)]
+#[error("{0}")]
+pub struct OtherTraining(String);
+
 /// Renames the checkpoint of the output folder `out`, so that it no longer counts. Returns its new path.
 pub fn set_aside(out: &Path) -> Result<PathBuf> {
     Ok(files::set_aside(&path(out))?)
@@ -137,43 +142,47 @@ impl Checkpoint {
         self.head.curve.clone()
     }
 
+    /// Why a training cannot go on from this checkpoint, after the checkpoint's path; `None` if it can.
+    fn contradiction(&self, expected: &Fingerprint, trainer: &Trainer<AnyBackend>) -> Option<String> {
+        let Head { ref fingerprint, steps, steps_done, splats, .. } = self.head;
+        let wanted = trainer.settings().schedule.steps;
+        if fingerprint != expected {
+            Some("belongs to a training with other data or settings; start again with --fresh, or write to another folder".into())
+        } else if steps > wanted {
+            Some(format!(
+                "belongs to a training of {steps} steps, which cannot have fewer; delete it to start again, or write to another \
+                 folder"
+            ))
+        } else if steps < wanted && steps_done < steps {
+            Some(format!(
+                "belongs to a training of {steps} steps that has done {steps_done}: let it end with --steps {steps}, then ask for \
+                 more"
+            ))
+        } else if splats > trainer.backend().capacity() {
+            Some("has more splats than the memory allows; delete it to start again".into())
+        } else {
+            None
+        }
+    }
+
     /// Time that the training had taken when this checkpoint was written.
     pub fn spent(&self) -> Spent {
         self.head.spent
     }
 
-    /// Restores the trainer to the state in the checkpoint. Fails if the checkpoint belongs to another training, to one of
-    /// more steps, or to one of fewer steps that has not ended. Fails if it has more splats than the trainer's memory
-    /// allows. Fails with [`DamagedCheckpoint`] if it is damaged.
+    /// Restores the trainer to the state in the checkpoint. Fails with [`OtherTraining`] if the checkpoint belongs to another
+    /// training, to one of more steps, or to one of fewer steps that has not ended, or if it has more splats than the
+    /// trainer's memory allows. Fails with [`DamagedCheckpoint`] if it is damaged.
     pub fn restore(self, expected: &Fingerprint, trainer: &mut Trainer<AnyBackend>) -> Result<()> {
         let path = self.path.display().to_string();
-        if self.head.fingerprint != *expected {
-            bail!(
-                "{path} belongs to a training with other data or settings; start again with --fresh, or write to another \
-                 folder"
-            );
+        if let Some(why) = self.contradiction(expected, trainer) {
+            return Err(OtherTraining(format!("{path} {why}")).into());
         }
-        let Head { steps, steps_done, .. } = self.head;
-        let wanted = trainer.settings().schedule.steps;
-        ensure!(
-            steps <= wanted,
-            "{path} belongs to a training of {steps} steps, which cannot have fewer; delete it to start again, or write to \
-             another folder"
-        );
-        ensure!(
-            steps == wanted || steps_done == steps,
-            "{path} belongs to a training of {steps} steps that has done {steps_done}: let it end with --steps {steps}, \
-             then ask for more"
-        );
-        ensure!(
-            self.head.splats <= trainer.backend().capacity(),
-            "{path} has more splats than the memory allows; delete it to start again"
-        );
         let truncated = |_| DamagedCheckpoint(format!("{path} is truncated"));
         let mut body = zstd::Decoder::new(self.body).map_err(truncated)?;
         let mut hash = blake3::Hasher::new();
         let mut bytes = Vec::new();
-        let Head { splats_at_start, splats, .. } = self.head;
+        let Head { steps_done, splats_at_start, splats, .. } = self.head;
         trainer
             .import(Progress { steps_done, splats_at_start, splats }, |numbers| -> io::Result<()> {
                 bytes.resize(4 * numbers.len(), 0);

@@ -531,6 +531,28 @@ fn a_watching_agent_waits_for_pictures_and_then_trains() {
     assert!(folder.path().join("out/flight.json").is_file());
 }
 
+/// Another `max_size`, as an edit of the configuration or an update leaves it.
+#[test]
+fn a_watching_agent_starts_again_after_a_change_of_settings() {
+    let folder = tempfile::tempdir().unwrap();
+    prepare(folder.path(), "serial = \"/dev/no-radio\"\nmax_size = 32", 3);
+    let start = || {
+        let mut command = Command::new(program("cosurf-agent"));
+        command.args(["run", "--watch", "data"]);
+        Agent::spawn_with(folder.path(), command)
+    };
+    let agent = start();
+    agent.tells_within(TRAINING, Duration::from_secs(40));
+    agent.tells_within("/dev/no-radio", Duration::from_secs(20));
+    drop(agent);
+    let config = folder.path().join("agent.toml");
+    let text = fs::read_to_string(&config).unwrap();
+    fs::write(&config, text.replace("max_size = 32", "max_size = 48")).unwrap();
+    let agent = start();
+    agent.tells_within("other data or settings", Duration::from_secs(40));
+    agent.tells_within(TRAINING, Duration::from_secs(20));
+}
+
 /// An empty picture, as a copy that stalls leaves it.
 #[test]
 fn a_watching_agent_outlasts_a_flight_that_fails() {

@@ -14,6 +14,7 @@ use std::time::{Duration, Instant, SystemTime, UNIX_EPOCH};
 use anyhow::{Context, Result, bail};
 use clap::Args;
 use cosurf_agent::arrival::Arrival;
+use cosurf_agent::checkpoint::OtherTraining;
 use cosurf_agent::publish::{Publication, Sharing, global_models, global_ply, publish};
 use cosurf_agent::session::{self, Split, TrainPlan};
 use cosurf_agent::status::StatusBoard;
@@ -42,7 +43,7 @@ use watch::{FailedFlight, Watched};
 pub(super) struct RunArgs {
     #[command(flatten)]
     job: JobArgs,
-    /// Start again even if the output folder has a checkpoint
+    /// Start again even if the output folder has a checkpoint. An agent with --watch does so by itself if it cannot go on from one
     #[arg(long, conflicts_with = "watch")]
     fresh: bool,
     /// Wait for pictures in this folder, in place of `data`, and train once nothing in it has changed for ten seconds; then
@@ -182,6 +183,19 @@ impl Job {
         Ok(())
     }
 
+    /// As [`Job::fly`], but sets aside a checkpoint of other settings, as an update or an edit of the configuration leaves it:
+    /// nobody is there to delete it.
+    fn fly_unattended(&mut self, board: &StatusBoard, progress: &mut Progress) -> Result<()> {
+        match self.fly(false, board, progress) {
+            Err(error) if error.is::<OtherTraining>() => {
+                let kept = checkpoint::set_aside(&self.config.out)?;
+                progress.show(&AgentEvent::CheckpointSetAside { reason: format!("{error:#}"), kept });
+                self.fly(true, board, progress)
+            }
+            flown => flown,
+        }
+    }
+
     /// Trains on one flight after the other, as they arrive in a folder, until it is asked to end. A flight that fails is
     /// told; the next one begins once the folder has changed.
     fn fly_all(
@@ -196,7 +210,7 @@ impl Job {
             let (arrival, data) = self.await_pictures(watched, failed.as_ref(), origin, board, progress)?;
             let flown = data.and_then(|data| {
                 self.plan = TrainPlan { data, ..train_plan(&self.config) };
-                self.fly(false, board, progress)
+                self.fly_unattended(board, progress)
             });
             failed = match flown {
                 Ok(()) => {

@@ -98,7 +98,7 @@ pub enum AgentEvent {
         /// The text of the error, with the reason that the driver gave.
         reason: String,
     },
-    /// The checkpoint is damaged, and was renamed. Training starts again.
+    /// The checkpoint is damaged or of another training, and was renamed. Training starts again.
     CheckpointSetAside {
         /// What is wrong with it.
         reason: String,
