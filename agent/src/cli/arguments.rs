@@ -41,7 +41,8 @@ impl Common {
 #[derive(Args, Clone, Debug)]
 pub(super) struct DeviceArgs {
     /// Device to compute on: auto (a hardware GPU if there is one, otherwise the CPU), cpu, gpu, or gpu:N with a
-    /// number that `devices` lists. With auto, `train` uses the CPU if the memory limit is too small for the GPU
+    /// number that `devices` lists. With --memory, auto is the CPU for `eval` and `render`, which cannot use a GPU then, and
+    /// for `train` if the limit is too small for the GPU
     #[arg(long = "compute", alias = "device", value_name = "DEVICE", default_value_t)]
     pub(super) device: DeviceChoice,
 }

@@ -38,7 +38,8 @@ const STEPS_TO_LEARN: u32 = 100;
 /// before it replaces the first; each has 59 parameters of a splat and two moments of each.
 const BYTES_PER_SPLAT: u64 = 2 * 59 * 3 * 4;
 
-/// Train a model from a dataset: COLMAP (`sparse/0` with `images`), `transforms.json` or `reconstruction.json` of OpenSfM.
+/// Train a model from a dataset: COLMAP (`sparse/0` with `images`), `transforms.json`, `reconstruction.json` of OpenSfM, or an
+/// export of Metashape or RealityCapture.
 ///
 /// Writes DIR/model.ply, DIR/cameras.json, DIR/report.json and DIR/checkpoint/. To resume after a stop or a kill,
 /// run the same command again.
@@ -87,8 +88,8 @@ pub(super) struct TrainArgs {
     /// out not to be exact
     #[arg(long, value_name = "WAY", default_value_t)]
     poses: PoseChoice,
-    /// Start from this earlier model of the ground in the pictures, a PLY or SPZ file, instead of from the sparse cloud. The
-    /// word `global` stands for the global model that was received earlier and stored in the folder of --out. A training that
+    /// Start from this earlier model of the ground in the pictures instead of from the sparse cloud: a PLY or SPZ file, or the
+    /// folder of a training, a merge or a mission. The word `global` stands for the global model that was received earlier and stored in the folder of --out. A training that
     /// resumes does not start from it again
     #[arg(long, value_name = "MODEL")]
     init: Option<PathBuf>,

@@ -35,7 +35,7 @@ pub(crate) struct ConvertArgs {
     /// Version of the .spz to write: most viewers read 3, old ones only 2, and new tools 4, which is a little smaller
     #[arg(long, value_name = "VERSION", default_value = "3", value_parser = parse_version)]
     spz_version: spz::Version,
-    /// Turn the model: `y` so that a world with z up stands upright in viewers, which have y up; `z` turns such a file back
+    /// Turn the model: `y` so that a world with z up stands upright in viewers; `z` turns such a file back
     #[arg(long, value_name = "AXIS")]
     up: Option<Up>,
     /// Also write the model's cameras.json in the format of 3DGS, turned like the model, for viewers such as SuperSplat

@@ -57,7 +57,8 @@ pub(crate) struct SurveyArgs {
     /// polygon's border
     #[arg(long, value_name = "FILE")]
     volumes: Option<PathBuf>,
-    /// Memory limit, for example 500MiB; if it is small, the mesh is coarser. A line on standard error tells that
+    /// Memory limit, for example 500MiB. If it is small, the mesh is coarser, and a line on standard error tells that; if it is
+    /// too small for the model or the maps, it is refused
     #[arg(long, value_name = "BYTES", default_value = "2GiB", value_parser = parse_bytes)]
     memory: u64,
     /// Print progress and result as lines of JSON

@@ -10,7 +10,6 @@
 //! cameras look. So does a model whose splats lie thinly where those of others lie densely ([`density`]).
 //!
 //! Every place has at most one owner, whatever the order of compression, and the owner keeps all of its splats there.
-//! Where a second model keeps its splats too, distillation finds the best of both.
 
 mod cells;
 mod density;
