@@ -1,5 +1,5 @@
 //! Merges local models into one (CoSurfGS, "Local Model Compression" and "Model Aggregation Scheme"). Where models
-//! overlap, only the one or two that observed the ground best keep their splats. The remaining splats of all models are
+//! overlap, only the one that observed the ground best keeps its splats. The remaining splats of all models are
 //! joined. Then the joined model is distilled: it is trained on what each local model renders for its own cameras. No
 //! photographs are needed: the aggregator never receives any. The ground is divided into tiles, and each tile is
 //! distilled by itself.
