@@ -43,7 +43,7 @@ use watch::{FailedFlight, Watched};
 pub(super) struct RunArgs {
     #[command(flatten)]
     job: JobArgs,
-    /// Start again even if the output folder has a checkpoint. An agent with --watch does so by itself if it cannot go on from one
+    /// Start again even if the output folder has a checkpoint. With --watch, the agent does so by itself where it cannot go on
     #[arg(long, conflicts_with = "watch")]
     fresh: bool,
     /// Wait for pictures in this folder, in place of `data`, and train once nothing in it has changed for ten seconds; then

@@ -89,8 +89,8 @@ pub(super) struct TrainArgs {
     #[arg(long, value_name = "WAY", default_value_t)]
     poses: PoseChoice,
     /// Start from this earlier model of the ground in the pictures instead of from the sparse cloud: a PLY or SPZ file, or the
-    /// folder of a training, a merge or a mission. The word `global` stands for the global model that was received earlier and stored in the folder of --out. A training that
-    /// resumes does not start from it again
+    /// folder of a training, a merge or a mission. The word `global` stands for the global model that was received earlier and
+    /// stored in the folder of --out. A training that resumes does not start from it again
     #[arg(long, value_name = "MODEL")]
     init: Option<PathBuf>,
     /// Start again even if DIR has a checkpoint
