@@ -142,7 +142,8 @@ impl Checkpoint {
         self.head.curve.clone()
     }
 
-    /// Why a training cannot go on from this checkpoint, after the checkpoint's path; `None` if it can.
+    /// Why a training cannot go on from this checkpoint, as the end of a sentence that begins with the checkpoint's path.
+    /// `None` if it can.
     fn contradiction(&self, expected: &Fingerprint, trainer: &Trainer<AnyBackend>) -> Option<String> {
         let Head { ref fingerprint, steps, steps_done, splats, .. } = self.head;
         let wanted = trainer.settings().schedule.steps;

@@ -531,7 +531,7 @@ fn a_watching_agent_waits_for_pictures_and_then_trains() {
     assert!(folder.path().join("out/flight.json").is_file());
 }
 
-/// Another `max_size`, as an edit of the configuration or an update leaves it.
+/// The configuration is edited in the middle of a training: the checkpoint is of pictures of another size.
 #[test]
 fn a_watching_agent_starts_again_after_a_change_of_settings() {
     let folder = tempfile::tempdir().unwrap();

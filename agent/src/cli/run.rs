@@ -14,7 +14,6 @@ use std::time::{Duration, Instant, SystemTime, UNIX_EPOCH};
 use anyhow::{Context, Result, bail};
 use clap::Args;
 use cosurf_agent::arrival::Arrival;
-use cosurf_agent::checkpoint::OtherTraining;
 use cosurf_agent::publish::{Publication, Sharing, global_models, global_ply, publish};
 use cosurf_agent::session::{self, Split, TrainPlan};
 use cosurf_agent::status::StatusBoard;
@@ -29,6 +28,7 @@ use cosurf_wire::DeviceId;
 use super::host::{self, cores, default_memory};
 use super::paths::resolve_init;
 use super::progress::Progress;
+use super::train::Start;
 use super::{stop, train};
 use choice::Answer;
 use comparison::Comparison;
@@ -101,7 +101,7 @@ pub(super) fn run(RunArgs { job: args, fresh, watch, origin }: &RunArgs) -> Resu
         stop::tell_on(board);
     }
     let mut progress = Progress::new(args.json).with_board(&board);
-    let Some(folder) = watch else { return job.fly(*fresh, &board, &mut progress) };
+    let Some(folder) = watch else { return job.fly(Start::attended(*fresh), &board, &mut progress) };
     job.fly_all(&Watched::open(folder, &job.config.out)?, *origin, &board, &mut progress)
 }
 
@@ -157,8 +157,8 @@ impl Job {
     }
 
     /// Trains on the pictures of one flight, sends the model, and compares it with the global one.
-    fn fly(&mut self, fresh: bool, board: &StatusBoard, progress: &mut Progress) -> Result<()> {
-        let begun_with = if fresh { None } else { choice::begun_with(&self.config.out) };
+    fn fly(&mut self, start: Start, board: &StatusBoard, progress: &mut Progress) -> Result<()> {
+        let begun_with = if start == Start::Fresh { None } else { choice::begun_with(&self.config.out) };
         if begun_with.is_none() && self.config.init.is_some() && self.plan.init.is_none() {
             eprintln!(
                 "{}: there is no global model yet (`init`); the training starts from the points",
@@ -169,7 +169,7 @@ impl Job {
         // While the connection is there, everybody is told why the agent ends.
         let flight = board.follow_result(self.flight())?;
         let reporter = self.announce(flight.as_deref(), reporter);
-        board.follow_result(train::train(&self.plan, &self.config.out, fresh, progress))?;
+        board.follow_result(train::train(&self.plan, &self.config.out, start, progress))?;
         let model = LocalModel::read(&self.config.out)?;
         self.publish(&model, flight.as_deref(), (board, reporter), progress)?;
         if self.config.wait_global {
@@ -181,19 +181,6 @@ impl Job {
             tracing::warn!("the report still has the peak memory of the training alone: {error:#}");
         }
         Ok(())
-    }
-
-    /// As [`Job::fly`], but sets aside a checkpoint of other settings, as an update or an edit of the configuration leaves it:
-    /// nobody is there to delete it.
-    fn fly_unattended(&mut self, board: &StatusBoard, progress: &mut Progress) -> Result<()> {
-        match self.fly(false, board, progress) {
-            Err(error) if error.is::<OtherTraining>() => {
-                let kept = checkpoint::set_aside(&self.config.out)?;
-                progress.show(&AgentEvent::CheckpointSetAside { reason: format!("{error:#}"), kept });
-                self.fly(true, board, progress)
-            }
-            flown => flown,
-        }
     }
 
     /// Trains on one flight after the other, as they arrive in a folder, until it is asked to end. A flight that fails is
@@ -210,7 +197,7 @@ impl Job {
             let (arrival, data) = self.await_pictures(watched, failed.as_ref(), origin, board, progress)?;
             let flown = data.and_then(|data| {
                 self.plan = TrainPlan { data, ..train_plan(&self.config) };
-                self.fly_unattended(board, progress)
+                self.fly(Start::Unattended, board, progress)
             });
             failed = match flown {
                 Ok(()) => {

@@ -7,7 +7,7 @@ use std::time::{Duration, Instant};
 
 use anyhow::{Result, bail};
 use clap::{Args, ValueEnum};
-use cosurf_agent::checkpoint::{self, Checkpoint, DamagedCheckpoint, Spent};
+use cosurf_agent::checkpoint::{self, Checkpoint, DamagedCheckpoint, OtherTraining, Spent};
 use cosurf_agent::session::{Session, Split, TrainPlan};
 use cosurf_agent::{evaluate, outputs};
 use cosurf_contract::{AgentEvent, Curve, DEFAULT_STEPS, ReadyReport, Share, TrainReport, counted, usage};
@@ -154,8 +154,31 @@ pub(super) fn run(args: &TrainArgs) -> Result<()> {
         one_of_many: args.for_merge,
     };
     let mut progress = Progress::new(args.common.json);
-    let report = train(&plan, &args.out, args.fresh, &mut progress)?;
+    let report = train(&plan, &args.out, Start::attended(args.fresh), &mut progress)?;
     if args.common.json { Ok(()) } else { print_report(&report, &args.out) }
+}
+
+/// What a training does with a checkpoint that is there.
+#[derive(Clone, Copy, PartialEq, Eq)]
+pub(super) enum Start {
+    /// It goes on from the checkpoint. One of another training is an error: the user decides.
+    Resumed,
+    /// It goes on from the checkpoint. One of another training is set aside, because nobody is there to decide.
+    Unattended,
+    /// It ignores the checkpoint.
+    Fresh,
+}
+
+impl Start {
+    /// The start of a command that somebody gave, with or without `--fresh`.
+    pub(super) fn attended(fresh: bool) -> Self {
+        if fresh { Self::Fresh } else { Self::Resumed }
+    }
+
+    /// Whether a training sets the checkpoint aside and starts again after this error.
+    fn sets_aside_after(self, error: &anyhow::Error) -> bool {
+        error.is::<DamagedCheckpoint>() || (self == Self::Unattended && error.is::<OtherTraining>())
+    }
 }
 
 /// Trains with checkpoints and writes all results into the existing folder `out`. A damaged checkpoint is set aside, and
@@ -164,7 +187,7 @@ pub(super) fn run(args: &TrainArgs) -> Result<()> {
 pub(super) fn train(
     plan: &TrainPlan,
     out: &Path,
-    fresh: bool,
+    start: Start,
     progress: &mut Progress,
 ) -> Result<TrainReport> {
     checkpoint::make_folder(out)?;
@@ -173,8 +196,8 @@ pub(super) fn train(
     if let Some(note) = plan.init.as_deref().and_then(model::unusable_note) {
         eprintln!("{note}");
     }
-    match train_on_any(plan, out, !fresh, progress) {
-        Err(error) if error.is::<DamagedCheckpoint>() => {
+    match train_on_any(plan, out, start != Start::Fresh, progress) {
+        Err(error) if start.sets_aside_after(&error) => {
             let kept = checkpoint::set_aside(out)?;
             progress.show(&AgentEvent::CheckpointSetAside { reason: format!("{error:#}"), kept });
             train_on_any(plan, out, false, progress)
