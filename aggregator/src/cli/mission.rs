@@ -89,8 +89,8 @@ pub(crate) struct MissionArgs {
     /// Hold out every N-th picture by name from training, to score the models; 0 holds out none
     #[arg(long, value_name = "N", default_value_t = 8)]
     eval_every: u32,
-    /// Let each agent send only a base of the ground that another agent observed better. On Caliterra, uploads are 40 % smaller
-    /// then, and the global model loses 0.25 dB of PSNR
+    /// Where another agent observed the ground better, let an agent send only a base, a small stand-in for its splats there. On
+    /// Caliterra, uploads are 40 % smaller then, and the global model loses 0.25 dB of PSNR
     #[arg(long)]
     compress_first: bool,
     #[command(flatten)]

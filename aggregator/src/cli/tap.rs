@@ -20,8 +20,8 @@ use cosurf_scene::bytes::format_bytes;
 /// Options that name a broker and the files for TLS.
 #[derive(Args)]
 struct BrokerArgs {
-    /// The broker, for example mqtt://10.0.0.2:1883; mqtts:// and wss:// need --ca, and what the broker asks for: --cert with
-    /// --key, or --user
+    /// The broker, for example mqtt://10.0.0.2:1883; mqtts:// and wss:// need --ca. If the broker asks for a login, also
+    /// --cert with --key, or --user
     #[arg(long, value_name = "URL")]
     broker: BrokerAddress,
     /// PEM file with the certificates of the trusted authorities

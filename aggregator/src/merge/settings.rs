@@ -52,8 +52,8 @@ impl Tiles<'_> {
 #[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
 pub struct MergeSettings {
     /// Epochs of distillation; each trains once on every camera. 0 leaves the joined model as it is. CoSurfGS has 5
-    /// epochs too; 7 with two thirds of the rates gave 0.04 dB more on rendered Boruszyn. 8 gave 0.14 dB more on the town and
-    /// nothing on two parts of Caliterra, and take 1.4 times as long.
+    /// epochs too; 7 epochs with two thirds of the learning rates gave 0.04 dB more on rendered Boruszyn. 8 epochs gave 0.14 dB
+    /// more on the town and nothing on two parts of Caliterra; the merge takes 1.4 times as long.
     pub epochs: u32,
     /// Whether only one model keeps its splats where models overlap (Local Model Compression).
     pub compress: bool,
