@@ -69,8 +69,6 @@ impl Kernel for AdamBlock<'_> {
 impl AdamBlock<'_> {
     #[inline(always)]
     fn part<L: Lanes>(&mut self, part: usize, mask: L::Mask) {
-        let gradients = self.gradients;
-        let g = |row: usize| gradients[row].get::<L>(part).keep(mask);
         let mean = each!([0, 1, 2], |a| self.params[MEAN + a].get::<L>(part));
         // The viewing direction of the forward pass; the mean has not moved yet.
         let (dir, _) = view_direction(mean, self.view);
@@ -80,16 +78,22 @@ impl AdamBlock<'_> {
             [(MEAN, 3, r.mean), (QUAT, 4, r.quat), (LOG_SCALE, 3, r.log_scale), (OPACITY, 1, r.opacity)]
         {
             for row in first..first + count {
-                self.update::<L>(row, part, g(row), rate);
+                self.update::<L>(row, part, self.gradient(row, part, mask), rate);
             }
         }
-        let v_rgb = [g(GRADIENT_RGB), g(GRADIENT_RGB + 1), g(GRADIENT_RGB + 2)];
+        let v_rgb = each!([0, 1, 2], |c| self.gradient::<L>(GRADIENT_RGB + c, part, mask));
         for (k, y) in basis.iter().enumerate().take(sh_coefficients(self.view.sh_degree)) {
             let rate = if k == 0 { r.sh_dc } else { r.sh_rest };
             for (channel, v) in v_rgb.iter().enumerate() {
                 self.update::<L>(SH + 3 * k + channel, part, *y * *v, rate);
             }
         }
+    }
+
+    /// The gradients of a row; 0 outside of the mask. A closure of this was not inlined with AVX2.
+    #[inline(always)]
+    fn gradient<L: Lanes>(&self, row: usize, part: usize, mask: L::Mask) -> L {
+        self.gradients[row].get::<L>(part).keep(mask)
     }
 
     #[inline(always)]

@@ -158,30 +158,56 @@ impl Lanes for Avx2 {
         unsafe { sum_of_eight((*a + *b).0) }
     }
 
-    /// Interleaves the lanes of two vectors and adds them; does the same with two of the results, until one vector has a sum
-    /// in each lane.
     #[inline(always)]
     fn sums(totals: &[Total<Self>; GROUP]) -> Row {
-        // SAFETY: see above.
-        unsafe {
-            let pair =
-                |a: Self, b: Self| _mm256_add_ps(_mm256_unpacklo_ps(a.0, b.0), _mm256_unpackhi_ps(a.0, b.0));
-            // Both halves hold partial sums of the vectors k..k+4.
-            let quad = |k: usize, part: usize| {
-                let v = |i: usize| totals[k + i][part];
-                let (a, b) = (_mm256_castps_pd(pair(v(0), v(1))), _mm256_castps_pd(pair(v(2), v(3))));
-                let (low, high) = (_mm256_unpacklo_pd(a, b), _mm256_unpackhi_pd(a, b));
-                _mm256_add_ps(_mm256_castpd_ps(low), _mm256_castpd_ps(high))
-            };
-            let eight = |k: usize, part: usize| {
-                let (a, b) = (quad(k, part), quad(k + 4, part));
-                _mm256_add_ps(_mm256_permute2f128_ps::<0x20>(a, b), _mm256_permute2f128_ps::<0x31>(a, b))
-            };
-            let mut row = Row::ZERO;
-            for k in [0, 8] {
-                Self(_mm256_add_ps(eight(k, 0), eight(k, 1))).store(&mut row.0[k..]);
-            }
-            row
+        let mut row = Row::ZERO;
+        for k in [0, 8] {
+            // SAFETY: see above.
+            let [a, b] = unsafe { [sums_of_eight(totals, k, 0), sums_of_eight(totals, k, 1)] };
+            (Self(a) + Self(b)).store(&mut row.0[k..]);
         }
+        row
     }
+}
+
+// The parts of [`Lanes::sums`]. As closures they would be compiled for the baseline instruction set, and each intrinsic would
+// become a call, which took a fifth of a training's time.
+
+/// Sums of a part of eight totals, from the `k`-th on, with one sum in each lane.
+///
+/// # Safety
+/// [`available`] must have returned true.
+#[inline(always)]
+unsafe fn sums_of_eight(totals: &[Total<Avx2>; GROUP], k: usize, part: usize) -> __m256 {
+    // SAFETY: see above.
+    unsafe {
+        let (a, b) = (sums_of_four(totals, k, part), sums_of_four(totals, k + 4, part));
+        _mm256_add_ps(_mm256_permute2f128_ps::<0x20>(a, b), _mm256_permute2f128_ps::<0x31>(a, b))
+    }
+}
+
+/// Sums of a part of four totals, from the `k`-th on; both halves of the vector hold partial sums.
+///
+/// # Safety
+/// [`available`] must have returned true.
+#[inline(always)]
+unsafe fn sums_of_four(totals: &[Total<Avx2>; GROUP], k: usize, part: usize) -> __m256 {
+    // SAFETY: see above.
+    unsafe {
+        let a = sums_of_two(totals[k][part].0, totals[k + 1][part].0);
+        let b = sums_of_two(totals[k + 2][part].0, totals[k + 3][part].0);
+        let (a, b) = (_mm256_castps_pd(a), _mm256_castps_pd(b));
+        let (low, high) = (_mm256_unpacklo_pd(a, b), _mm256_unpackhi_pd(a, b));
+        _mm256_add_ps(_mm256_castpd_ps(low), _mm256_castpd_ps(high))
+    }
+}
+
+/// Interleaves the lanes of two vectors and adds them.
+///
+/// # Safety
+/// [`available`] must have returned true.
+#[inline(always)]
+unsafe fn sums_of_two(a: __m256, b: __m256) -> __m256 {
+    // SAFETY: see above.
+    unsafe { _mm256_add_ps(_mm256_unpacklo_ps(a, b), _mm256_unpackhi_ps(a, b)) }
 }

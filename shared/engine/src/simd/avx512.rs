@@ -5,7 +5,7 @@
 use std::arch::x86_64::*;
 
 use super::avx2::sum_of_eight;
-use super::lanes::{GROUP, Kernel, Lanes, Row, Total, operators};
+use super::lanes::{GROUP, Kernel, Lanes, Row, Total, each, operators};
 
 #[derive(Clone, Copy)]
 pub(crate) struct Avx512(__m512);
@@ -139,33 +139,44 @@ impl Lanes for Avx512 {
         }
     }
 
-    /// Four rounds each halve the number of vectors: the lanes of two vectors are interleaved and added.
+    /// Four rounds each halve the number of vectors: the lanes of two vectors are interleaved and added. The rounds are
+    /// functions that are always inlined; closures would be compiled for the baseline instruction set.
     #[inline(always)]
     fn sums(totals: &[Total<Self>; GROUP]) -> Row {
-        let v = |i: usize| totals[i][0];
+        let mut row = Row::ZERO;
         // SAFETY: see above.
-        unsafe {
-            let pair =
-                |a: Self, b: Self| _mm512_add_ps(_mm512_unpacklo_ps(a.0, b.0), _mm512_unpackhi_ps(a.0, b.0));
-            let quad = |a: __m512, b: __m512| {
-                let (a, b) = (_mm512_castps_pd(a), _mm512_castps_pd(b));
-                let (low, high) = (_mm512_unpacklo_pd(a, b), _mm512_unpackhi_pd(a, b));
-                _mm512_add_ps(_mm512_castpd_ps(low), _mm512_castpd_ps(high))
-            };
-            // Each 128-bit part of `q[k]` holds partial sums of the vectors 4k..4k+4.
-            let q = [
-                quad(pair(v(0), v(1)), pair(v(2), v(3))),
-                quad(pair(v(4), v(5)), pair(v(6), v(7))),
-                quad(pair(v(8), v(9)), pair(v(10), v(11))),
-                quad(pair(v(12), v(13)), pair(v(14), v(15))),
-            ];
-            let eight = |a: __m512, b: __m512| {
-                _mm512_add_ps(_mm512_shuffle_f32x4::<0x88>(a, b), _mm512_shuffle_f32x4::<0xdd>(a, b))
-            };
-            let (low, high) = (eight(q[0], q[1]), eight(q[2], q[3]));
-            let mut row = Row::ZERO;
-            Self(eight(low, high)).store(&mut row.0);
-            row
-        }
+        let all = unsafe {
+            let q = each!([0, 1, 2, 3], |k| sums_of_four(each!([0, 1, 2, 3], |i| totals[4 * k + i][0].0)));
+            halves(halves(q[0], q[1]), halves(q[2], q[3]))
+        };
+        Self(all).store(&mut row.0);
+        row
     }
+}
+
+/// The first two rounds of [`Lanes::sums`] of four vectors; each 128-bit part of the result holds partial sums.
+///
+/// # Safety
+/// [`available`] must have returned true.
+#[inline(always)]
+unsafe fn sums_of_four(v: [__m512; 4]) -> __m512 {
+    // SAFETY: see above.
+    unsafe {
+        let a =
+            _mm512_castps_pd(_mm512_add_ps(_mm512_unpacklo_ps(v[0], v[1]), _mm512_unpackhi_ps(v[0], v[1])));
+        let b =
+            _mm512_castps_pd(_mm512_add_ps(_mm512_unpacklo_ps(v[2], v[3]), _mm512_unpackhi_ps(v[2], v[3])));
+        let (low, high) = (_mm512_unpacklo_pd(a, b), _mm512_unpackhi_pd(a, b));
+        _mm512_add_ps(_mm512_castpd_ps(low), _mm512_castpd_ps(high))
+    }
+}
+
+/// One of the last two rounds of [`Lanes::sums`].
+///
+/// # Safety
+/// [`available`] must have returned true.
+#[inline(always)]
+unsafe fn halves(a: __m512, b: __m512) -> __m512 {
+    // SAFETY: see above.
+    unsafe { _mm512_add_ps(_mm512_shuffle_f32x4::<0x88>(a, b), _mm512_shuffle_f32x4::<0xdd>(a, b)) }
 }
