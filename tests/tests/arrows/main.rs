@@ -4,6 +4,7 @@
 
 mod circles;
 mod crates;
+mod intrinsics;
 mod modules;
 mod names;
 
