@@ -177,7 +177,7 @@ mod tests {
 
     #[test]
     fn the_tree_finds_what_comparing_all_finds() {
-        let mut random = Random::new(1, Purpose::Birth, 0, 0);
+        let mut random = Random::new(1, Purpose::Test, 0, 0);
         let mut points: Vec<[f64; 3]> =
             (0..500).map(|_| [0, 1, 2].map(|_| f64::from(random.normal()))).collect();
         points.extend_from_within(..20);

@@ -46,7 +46,7 @@ mod tests {
 
     #[test]
     fn finds_a_noisy_plane_and_no_plane_in_lines_or_balls() {
-        let mut random = Random::new(3, Purpose::Birth, 0, 0);
+        let mut random = Random::new(3, Purpose::Test, 0, 0);
         let mut normal = || f64::from(random.normal());
         for _ in 0..100 {
             let axis = DVec3::new(normal(), normal(), normal()).normalize();

@@ -6,8 +6,9 @@
 pub(crate) enum Purpose {
     /// The order of views in an epoch.
     ViewOrder = 1,
-    /// Positions of the children of a splat.
-    Birth = 2,
+    /// Data of tests.
+    #[cfg(test)]
+    Test = 2,
     /// The neighbour that a view is compared with.
     Neighbour = 3,
     /// The pixels that a step compares with the neighbour.
@@ -39,7 +40,11 @@ impl Random {
     pub(crate) fn below(&mut self, n: u64) -> u64 {
         ((self.next_u64() >> 32) * n) >> 32
     }
+}
 
+/// What the data of tests are drawn with.
+#[cfg(test)]
+impl Random {
     /// Uniform in 0..=1, but never 0, so that its logarithm is finite.
     fn unit(&mut self) -> f64 {
         ((self.next_u64() >> 11) as f64 + 0.5) / (1u64 << 53) as f64

@@ -1,20 +1,30 @@
-//! Refinement: decides from shapes and statistics which splats to clone, split and remove, within the capacity.
+//! Refinement: decides from shapes and statistics which splats to split and remove, within the capacity.
+//!
+//! A splat is split in the middle of its longest axis (Improved-GS, arXiv 2508.12313), and both children together look much
+//! like it. 3DGS draws children at random, and adds copies of small splats, which look like nothing that was trained. Measured
+//! against that, in as much time (600 steps at 320 px): rendered Boruszyn 34.7 dB instead of 33.5, with 214,000 splats instead
+//! of 226,000; Caliterra 33.4 dB instead of 33.2, with as many.
 
 use glam::{Quat, Vec3};
 use rayon::prelude::*;
 
 use crate::backend::{Birth, Edit, Shapes};
-use crate::random::{Purpose, Random};
 
-/// Mean screen gradient from which on a splat is cloned or split (3DGS).
+/// Mean screen gradient from which on a splat is split (3DGS).
 const SCREEN_GRADIENT_MIN: f32 = 2e-4;
 /// Mean absolute screen gradient from which on a large splat is split, whatever its mean screen gradient (PGSR).
 const ABSOLUTE_GRADIENT_MIN: f32 = 8e-4;
-/// Splats whose largest scale is up to this share of the scene extent are cloned; larger splats are split. In 3DGS this
-/// is `percent_dense`, 0.01.
-const CLONE_SCALE_MAX: f64 = 0.006;
-/// The scales of the two children of a split are divided by this factor (3DGS: 0.8 × the number of children).
-const SPLIT_SHRINK: f32 = 1.6;
+/// Splats whose largest scale is above this share of the scene extent are large. In 3DGS this is `percent_dense`, 0.01.
+const LARGE_SCALE_MIN: f64 = 0.006;
+/// Distance of the two children from the middle of their parent, as a share of its longest scale.
+const CHILD_DISTANCE: f32 = 0.9;
+/// Longest scale of a child, as a share of its parent's (Improved-GS).
+const CHILD_LENGTH: f32 = 0.5;
+/// Other scales of a child, as a share of its parent's (Improved-GS).
+const CHILD_WIDTH: f32 = 0.85;
+/// Opacity of a child, as a share of its parent's. Improved-GS has 0.6; on rendered Boruszyn 0.45, 0.6, 0.8 and 1 give 34.1,
+/// 34.6, 34.7 and 34.4 dB (600 steps at 320 px).
+const CHILD_OPACITY: f32 = 0.8;
 /// Splats with a lower opacity are removed (3DGS).
 const OPACITY_MIN: f32 = 0.005;
 /// Splats whose largest scale exceeds this share of the scene extent are removed, once opacities have been reset for
@@ -30,8 +40,6 @@ pub(crate) struct RefineLimits {
     pub(crate) extent: f64,
     /// Whether splats above [`SCALE_MAX`] are removed as well.
     pub(crate) prune_large: bool,
-    pub(crate) seed: u64,
-    pub(crate) step: u32,
 }
 
 /// Decides which splats one refinement adds and removes, with the threads of the current rayon pool. On one thread it took
@@ -50,7 +58,7 @@ pub(crate) fn refine(shapes: &Shapes, limits: &RefineLimits) -> Edit {
     let dead: Vec<bool> = (0..n).into_par_iter().map(dies).collect();
     let survivors = dead.iter().filter(|dead| !**dead).count();
     let is_small =
-        |i: usize| libm::exp(f64::from(largest(shapes.log_scales[i]))) <= CLONE_SCALE_MAX * limits.extent;
+        |i: usize| libm::exp(f64::from(largest(shapes.log_scales[i]))) <= LARGE_SCALE_MIN * limits.extent;
     let demand = |i: usize| {
         let pulled = shapes.screen_gradients[i] / SCREEN_GRADIENT_MIN;
         let torn = shapes.absolute_gradients[i] / ABSOLUTE_GRADIENT_MIN;
@@ -59,20 +67,14 @@ pub(crate) fn refine(shapes: &Shapes, limits: &RefineLimits) -> Edit {
     let demands: Vec<f32> = (0..n).into_par_iter().map(|i| if dead[i] { 0.0 } else { demand(i) }).collect();
     let parents = choose_parents(&demands, limits.splats_max.saturating_sub(survivors));
 
-    let children = |&parent: &usize| {
-        let mut random = Random::new(limits.seed, Purpose::Birth, u64::from(limits.step), parent as u64);
-        let (count, shrink) = if is_small(parent) { (1, 1.0) } else { (2, SPLIT_SHRINK) };
-        (0..count).map(move |_| child(shapes, parent, shrink, &mut random))
-    };
-    let births = parents.par_iter().flat_map_iter(children).collect();
+    let births = parents.par_iter().flat_map_iter(|parent| children(shapes, *parent)).collect();
     let mut removed = dead;
-    parents.iter().filter(|parent| !is_small(**parent)).for_each(|parent| removed[*parent] = true);
+    parents.iter().for_each(|parent| removed[*parent] = true);
     Edit { births, deaths: (0..n as u32).filter(|i| removed[*i as usize]).collect() }
 }
 
-/// Indices, ascending, of the splats to clone or split: at most `room`, those with the largest demands. A demand is a
-/// screen gradient divided by its threshold; demands below 1 do not count. Each clone and each split adds one splat to
-/// the model.
+/// Indices, ascending, of the splats to split: at most `room`, those with the largest demands. A demand is a screen gradient
+/// divided by its threshold; demands below 1 do not count. Each split adds one splat to the model.
 fn choose_parents(demands: &[f32], room: usize) -> Vec<usize> {
     let mut parents: Vec<usize> = (0..demands.len()).filter(|&i| demands[i] >= 1.0).collect();
     if parents.len() > room {
@@ -88,17 +90,78 @@ fn largest(log_scale: [f32; 3]) -> f32 {
     log_scale.into_iter().fold(f32::NEG_INFINITY, f32::max)
 }
 
-/// A child at a random position, drawn from the Gaussian of its parent. Its scales are those of the parent, divided by
-/// `shrink`.
-fn child(shapes: &Shapes, parent: usize, shrink: f32, random: &mut Random) -> Birth {
+/// The two splats that take the place of `parent`, on both sides of its middle.
+fn children(shapes: &Shapes, parent: usize) -> [Birth; 2] {
     let [w, x, y, z] = shapes.quats[parent];
     let rotation = Quat::from_xyzw(x, y, z, w).normalize();
-    let scale = Vec3::from(shapes.log_scales[parent].map(libm::expf));
-    let offset = rotation * (scale * Vec3::new(random.normal(), random.normal(), random.normal()));
-    Birth {
+    let log_scale = shapes.log_scales[parent];
+    let longest = (1..3).fold(0, |best, axis| if log_scale[axis] > log_scale[best] { axis } else { best });
+    let mut offset = Vec3::ZERO;
+    offset[longest] = CHILD_DISTANCE * libm::expf(log_scale[longest]);
+    let offset = rotation * offset;
+    let mut child_scale = log_scale.map(|scale| scale + libm::logf(CHILD_WIDTH));
+    child_scale[longest] = log_scale[longest] + libm::logf(CHILD_LENGTH);
+    let opacity = CHILD_OPACITY / (1.0 + libm::expf(-shapes.opacity_logits[parent]));
+    let child = |side: f32| Birth {
         parent: parent as u32,
-        mean: (Vec3::from(shapes.means[parent]) + offset).to_array(),
-        log_scale: shapes.log_scales[parent].map(|v| v - libm::logf(shrink)),
-        opacity_logit: shapes.opacity_logits[parent],
+        mean: (Vec3::from(shapes.means[parent]) + side * offset).to_array(),
+        log_scale: child_scale,
+        opacity_logit: libm::logf(opacity / (1.0 - opacity)),
+    };
+    [child(1.0), child(-1.0)]
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    /// Splats of which the `i`-th has the demand `i`, each with its longest axis along its own y.
+    fn shapes(count: usize) -> Shapes {
+        Shapes {
+            means: (0..count).map(|i| [i as f32, 0.0, 0.0]).collect(),
+            quats: vec![[0.5; 4]; count],
+            log_scales: vec![[-3.0, -1.0, -2.0]; count],
+            opacity_logits: vec![0.0; count],
+            screen_gradients: (0..count).map(|i| i as f32 * SCREEN_GRADIENT_MIN).collect(),
+            absolute_gradients: vec![0.0; count],
+            views: vec![1.0; count],
+        }
+    }
+
+    fn limits(splats_max: usize) -> RefineLimits {
+        RefineLimits { splats_max, extent: 100.0, prune_large: false }
+    }
+
+    #[test]
+    fn a_splat_is_split_in_the_middle_of_its_longest_axis() {
+        let Edit { births, deaths } = refine(&shapes(2), &limits(10));
+        assert_eq!(deaths, [1]);
+        // This quaternion turns y into z.
+        let distance = CHILD_DISTANCE * (-1.0f32).exp();
+        for (birth, side) in births.iter().zip([1.0, -1.0]) {
+            assert_eq!(birth.parent, 1);
+            assert!(Vec3::from(birth.mean).distance(Vec3::new(1.0, 0.0, side * distance)) < 1e-6);
+            let [thin, long, wide] = birth.log_scale.map(f32::exp);
+            assert!(thin < wide && wide < long && long < 0.51 * (-1.0f32).exp());
+            let opacity = 1.0 / (1.0 + (-birth.opacity_logit).exp());
+            assert!((opacity - 0.5 * CHILD_OPACITY).abs() < 1e-6);
+        }
+        assert_eq!(births.len(), 2);
+    }
+
+    #[test]
+    fn those_with_the_largest_demands_are_split_as_far_as_there_is_room() {
+        let Edit { births, deaths } = refine(&shapes(8), &limits(11));
+        assert_eq!(deaths, [5, 6, 7]);
+        assert_eq!(births.len(), 6);
+        assert!(refine(&shapes(8), &limits(8)).births.is_empty());
+    }
+
+    #[test]
+    fn faint_and_broken_splats_are_removed() {
+        let mut shapes = shapes(4);
+        shapes.opacity_logits[0] = -10.0;
+        shapes.means[3][1] = f32::NAN;
+        assert_eq!(refine(&shapes, &limits(4)).deaths, [0, 1, 2, 3]);
     }
 }

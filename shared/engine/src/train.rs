@@ -401,7 +401,7 @@ impl<B: Backend> Trainer<B> {
 
     fn refine(&mut self) {
         let _span = debug_span!("refine", splats = self.backend.len()).entered();
-        let TrainSettings { schedule, extent, splats_max, seed, .. } = self.settings;
+        let TrainSettings { schedule, extent, splats_max, .. } = self.settings;
         // The growth is spread over all refinements, so that early splats are trained before they split.
         let end = splats_max.min(self.backend.capacity());
         let room = end.saturating_sub(self.splats_at_start) as f64 * schedule.growth(self.steps_done);
@@ -409,8 +409,6 @@ impl<B: Backend> Trainer<B> {
             splats_max: end.min(self.splats_at_start + room as usize),
             extent,
             prune_large: schedule.reset_every > 0 && self.steps_done > schedule.reset_every,
-            seed,
-            step: self.steps_done,
         };
         let shapes = self.backend.take_shapes();
         let edit = self.backend.with_threads(|| refine(&shapes, &limits));

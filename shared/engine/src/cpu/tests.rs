@@ -40,7 +40,7 @@ pub(crate) fn splats(
     sh_degree: u32,
     seed: u64,
 ) -> Splats {
-    let mut random = Random::new(seed, Purpose::Birth, 0, 0);
+    let mut random = Random::new(seed, Purpose::Test, 0, 0);
     let mut splats = Splats::with_capacity(count, sh_degree);
     for _ in 0..count {
         let mean = [0, 1, 2].map(|_| spread * random.normal());
@@ -120,7 +120,7 @@ fn values(backend: &CpuBackend) -> Vec<Pixel> {
 
 /// A random gradient for every channel of every pixel.
 fn pixel_gradients(pixels: usize) -> Vec<Pixel> {
-    let mut random = Random::new(9, Purpose::Birth, 0, 0);
+    let mut random = Random::new(9, Purpose::Test, 0, 0);
     (0..pixels).map(|_| std::array::from_fn(|_| f64::from(random.normal()))).collect()
 }
 

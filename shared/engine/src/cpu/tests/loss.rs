@@ -50,7 +50,7 @@ fn loss(x: &[f64], y: &[f64], gain: f64, offset: f64) -> f64 {
 }
 
 fn pictures() -> (Vec<f64>, Vec<f64>) {
-    let mut random = Random::new(3, Purpose::Birth, 0, 0);
+    let mut random = Random::new(3, Purpose::Test, 0, 0);
     let n = 3 * SIZE_PX[0] * SIZE_PX[1];
     let x: Vec<f64> =
         (0..n).map(|i| f64::from(0.5 + 0.3 * (i as f32 * 0.02).sin() + 0.05 * random.normal())).collect();

@@ -76,7 +76,7 @@ fn ground(camera: &Camera) -> (DVec3, f64) {
 
 /// The ground as splats might render it: with noise, and not fully opaque.
 fn blend(camera: Camera, roughness: f32, seed: u64) -> Blend {
-    let mut random = Random::new(seed, Purpose::Birth, 0, 0);
+    let mut random = Random::new(seed, Purpose::Test, 0, 0);
     let (n, d) = ground(&camera);
     let mut blend = Blend { camera, normal: Vec::new(), distance: Vec::new(), transmittance: Vec::new() };
     for _ in 0..pixels(&camera) {
@@ -418,7 +418,7 @@ const TEACHER: TeacherWeights = TeacherWeights { depth: 0.6, normal: 0.9 };
 /// A teacher's rendering of the ground: depths, normals and trust. Every fifth pixel has no depth.
 fn teacher(camera: Camera) -> (Vec<f32>, Vec<f32>, Vec<f32>) {
     let shown = blend(camera, 0.05, 7);
-    let mut random = Random::new(8, Purpose::Birth, 0, 0);
+    let mut random = Random::new(8, Purpose::Test, 0, 0);
     let trust = (0..pixels(&camera)).map(|_| random.normal().clamp(0.0, 1.0)).collect();
     let mut depth: Vec<f32> = depths(&shown).into_iter().map(|z| z as f32).collect();
     depth.iter_mut().step_by(5).for_each(|z| *z = 0.0);

@@ -26,7 +26,7 @@ const LOSS_OFF_MAX: f64 = 1e-3;
 
 /// Opaque discs of many colours on uneven ground.
 fn ground(count: usize) -> Splats {
-    let mut random = Random::new(17, Purpose::Birth, 0, 0);
+    let mut random = Random::new(17, Purpose::Test, 0, 0);
     let mut splats = Splats::with_capacity(count, 0);
     for _ in 0..count {
         let [x, y] = [0, 1].map(|_| 0.8 * random.normal());
@@ -50,7 +50,7 @@ impl Shown {
         let cameras = eyes.map(|eye| centered(eye, 1.2 * f64::from(size_px[0]), size_px));
         let mut renderer = Renderer::new(truth, 2);
         let pictures = cameras.map(|camera| renderer.render(&camera));
-        let mut random = Random::new(5, Purpose::Birth, 0, 0);
+        let mut random = Random::new(5, Purpose::Test, 0, 0);
         let trust = pictures[0].alpha.iter().map(|_| random.below(5) as f32 / 4.0).collect();
         Self { cameras, pictures, trust }
     }
@@ -149,7 +149,7 @@ fn surface_losses_agree_with_the_cpu() {
     let Some(gpu) = gpu() else { return };
     let truth = ground(3000);
     let mut model = truth.clone();
-    let mut random = Random::new(3, Purpose::Birth, 0, 0);
+    let mut random = Random::new(3, Purpose::Test, 0, 0);
     model.means.iter_mut().flatten().for_each(|v| *v += 0.01 * random.normal());
     for size_px in [[120, 90], [5, 4], [1, 1]] {
         let shown = Shown::new(&truth, size_px);
@@ -201,7 +201,7 @@ fn masked_pixels_are_left_out_as_on_the_cpu() {
     let Some(gpu) = gpu() else { return };
     let truth = ground(3000);
     let mut model = truth.clone();
-    let mut random = Random::new(3, Purpose::Birth, 0, 0);
+    let mut random = Random::new(3, Purpose::Test, 0, 0);
     model.means.iter_mut().flatten().for_each(|v| *v += 0.01 * random.normal());
     let shown = Shown::new(&truth, [120, 90]);
     for only in [Some(0), Some(1), Some(2)] {

@@ -59,7 +59,7 @@ fn lesson() -> (Splats, Splats, Vec<Camera>) {
     let cameras: Vec<Camera> = eyes.iter().map(|eye| centered(DVec3::from(*eye), 60.0, [64, 48])).collect();
     let truth = splats(300, 0.6, -2.0, 1.0, 1, 21);
     let mut start = truth.clone();
-    let mut random = Random::new(3, Purpose::Birth, 1, 0);
+    let mut random = Random::new(3, Purpose::Test, 1, 0);
     start.means.iter_mut().flatten().for_each(|v| *v += 0.05 * random.normal());
     start.sh.iter_mut().for_each(|v| *v = 0.0);
     (truth, start, cameras)
