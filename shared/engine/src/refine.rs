@@ -1,9 +1,10 @@
 //! Refinement: decides from shapes and statistics which splats to split and remove, within the capacity.
 //!
-//! A splat is split in the middle of its longest axis (Improved-GS, arXiv 2508.12313), and both children together look much
-//! like it. 3DGS draws children at random, and adds copies of small splats, which look like nothing that was trained. Measured
-//! against that, in as much time (600 steps at 320 px): rendered Boruszyn 34.7 dB instead of 33.5, with 214,000 splats instead
-//! of 226,000; Caliterra 33.4 dB instead of 33.2, with as many.
+//! A splat is split in the middle of its longest axis (Improved-GS, arXiv 2508.12313), so that its two children together
+//! look almost as it did. In 3DGS, children lie at random places, and a small splat stays while a copy of it is added: both
+//! change the picture, and the training has to repair that. After 600 steps at 320 px, which take as long either way, rendered
+//! Boruszyn has 34.7 dB instead of 33.5, with 214,000 splats instead of 226,000; Caliterra has 33.4 dB instead of 33.2, with
+//! the same number of splats.
 
 use glam::{Quat, Vec3};
 use rayon::prelude::*;
@@ -14,9 +15,10 @@ use crate::backend::{Birth, Edit, Shapes};
 const SCREEN_GRADIENT_MIN: f32 = 2e-4;
 /// Mean absolute screen gradient from which on a large splat is split, whatever its mean screen gradient (PGSR).
 const ABSOLUTE_GRADIENT_MIN: f32 = 8e-4;
-/// Splats whose largest scale is above this share of the scene extent are large. In 3DGS this is `percent_dense`, 0.01.
+/// A splat is large if its largest scale is above this share of the scene's extent. 3DGS, where it is called `percent_dense`,
+/// has 0.01.
 const LARGE_SCALE_MIN: f64 = 0.006;
-/// Distance of the two children from the middle of their parent, as a share of its longest scale.
+/// Distance from the centre of a splat to the centre of each of its two children, as a share of its longest scale.
 const CHILD_DISTANCE: f32 = 0.9;
 /// Longest scale of a child, as a share of its parent's (Improved-GS).
 const CHILD_LENGTH: f32 = 0.5;
@@ -73,8 +75,9 @@ pub(crate) fn refine(shapes: &Shapes, limits: &RefineLimits) -> Edit {
     Edit { births, deaths: (0..n as u32).filter(|i| removed[*i as usize]).collect() }
 }
 
-/// Indices, ascending, of the splats to split: at most `room`, those with the largest demands. A demand is a screen gradient
-/// divided by its threshold; demands below 1 do not count. Each split adds one splat to the model.
+/// Indices, ascending, of the splats to split: at most `room`, those with the largest demands. The demand of a splat is its
+/// screen gradient divided by the threshold of that gradient. Splats with a demand below 1 are not split. Each split adds one
+/// splat to the model.
 fn choose_parents(demands: &[f32], room: usize) -> Vec<usize> {
     let mut parents: Vec<usize> = (0..demands.len()).filter(|&i| demands[i] >= 1.0).collect();
     if parents.len() > room {
@@ -90,7 +93,7 @@ fn largest(log_scale: [f32; 3]) -> f32 {
     log_scale.into_iter().fold(f32::NEG_INFINITY, f32::max)
 }
 
-/// The two splats that take the place of `parent`, on both sides of its middle.
+/// The two splats that replace `parent`. They lie on its longest axis, one on each side of its centre.
 fn children(shapes: &Shapes, parent: usize) -> [Birth; 2] {
     let [w, x, y, z] = shapes.quats[parent];
     let rotation = Quat::from_xyzw(x, y, z, w).normalize();

@@ -1,5 +1,5 @@
 //! Checks the dependencies between crates, as the manifests state them, and between modules, as the sources show
-//! them.
+//! them. Also checks that no closure calls an intrinsic.
 #![allow(clippy::unwrap_used)]
 
 mod circles;

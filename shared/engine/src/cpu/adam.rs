@@ -90,7 +90,7 @@ impl AdamBlock<'_> {
         }
     }
 
-    /// The gradients of a row; 0 outside of the mask. A closure of this was not inlined with AVX2.
+    /// The gradients of a row, and 0 where the mask is false. This is a function because a closure was not inlined with AVX2.
     #[inline(always)]
     fn gradient<L: Lanes>(&self, row: usize, part: usize, mask: L::Mask) -> L {
         self.gradients[row].get::<L>(part).keep(mask)

@@ -170,10 +170,10 @@ impl Lanes for Avx2 {
     }
 }
 
-// The parts of [`Lanes::sums`]. As closures they would be compiled for the baseline instruction set, and each intrinsic would
-// become a call, which took a fifth of a training's time.
+// [`Lanes::sums`] uses these functions instead of closures. A closure is compiled for the baseline instruction set, so each
+// intrinsic in it was a call, and a training took a third longer.
 
-/// Sums of a part of eight totals, from the `k`-th on, with one sum in each lane.
+/// Each lane is the sum of one of the eight vectors `totals[k..k + 8]`, of which `part` is taken.
 ///
 /// # Safety
 /// [`available`] must have returned true.
@@ -186,7 +186,8 @@ unsafe fn sums_of_eight(totals: &[Total<Avx2>; GROUP], k: usize, part: usize) ->
     }
 }
 
-/// Sums of a part of four totals, from the `k`-th on; both halves of the vector hold partial sums.
+/// Partial sums of the four vectors `totals[k..k + 4]`, of which `part` is taken. Lane `i` of each half belongs to the `i`-th
+/// vector; both halves are still to be added.
 ///
 /// # Safety
 /// [`available`] must have returned true.

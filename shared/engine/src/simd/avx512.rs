@@ -140,7 +140,7 @@ impl Lanes for Avx512 {
     }
 
     /// Four rounds each halve the number of vectors: the lanes of two vectors are interleaved and added. The rounds are
-    /// functions that are always inlined; closures would be compiled for the baseline instruction set.
+    /// functions, because closures would be compiled for the baseline instruction set.
     #[inline(always)]
     fn sums(totals: &[Total<Self>; GROUP]) -> Row {
         let mut row = Row::ZERO;
@@ -171,7 +171,7 @@ unsafe fn sums_of_four(v: [__m512; 4]) -> __m512 {
     }
 }
 
-/// One of the last two rounds of [`Lanes::sums`].
+/// Adds neighbouring 128-bit parts of two vectors: one of the last two rounds of [`Lanes::sums`].
 ///
 /// # Safety
 /// [`available`] must have returned true.
