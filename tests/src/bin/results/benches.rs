@@ -1,6 +1,6 @@
 //! The benches that cargo runs: benches of all crates, and ignored tests that measure.
 
-use std::path::Path;
+use std::path::{Path, PathBuf};
 use std::process::{Command, Stdio};
 
 use anyhow::{Context, Result, ensure};
@@ -8,7 +8,7 @@ use cosurf_tests::datasets::write_city;
 use cosurf_tests::results::{Better, Column, Measurement, Results, Tolerance, machine, store};
 use tempfile::TempDir;
 
-use crate::commands::{agents, build, dataset, mission, train};
+use crate::commands::{agents, build, dataset, mission, succeed, train};
 use crate::divan;
 
 /// Datasets of the upload benches: the name in tables, and the folder; `None` generates the built-in city.
@@ -18,6 +18,8 @@ const DATASETS: [(&str, Option<&str>); 4] = [
     ("rendered Boruszyn", Some("gt_boruszyn")),
     ("the built-in city", None),
 ];
+/// The commit of version 0.1, with which trainings are compared.
+const EARLIER: &str = "1fbfbc3";
 /// Training options of the models that are uploaded.
 pub(crate) const TRAINING: [&str; 4] = ["--max-size", "240", "--steps", "1000"];
 
@@ -93,6 +95,28 @@ pub(crate) fn merging(folder: &TempDir) -> Result<Results> {
     let mut pinned = Command::new("taskset");
     pinned.args(["-c", "0"]).arg(bench.get_program()).args(bench.get_args()).current_dir(machine::root());
     read_after(&mut pinned, "merging", folder)
+}
+
+/// Measures trainings against those of [`EARLIER`], in pictures of their own size or of 640 px.
+pub(crate) fn earlier(folder: &TempDir) -> Result<Results> {
+    build()?;
+    let agent = earlier_agent()?;
+    of_each_dataset("earlier", folder, |name, data, _| {
+        let words = ["--earlier", text(&agent)?, "--data", text(data)?, "--name", name, "--max-size", "640"];
+        ours("earlier", &words, folder)
+    })
+}
+
+/// Builds the agent of [`EARLIER`] in a clone of the repository, below `target`.
+fn earlier_agent() -> Result<PathBuf> {
+    let clone = machine::root().join("target/earlier");
+    if !clone.exists() {
+        succeed(Command::new("git").args(["clone", "--quiet"]).arg(machine::root()).arg(&clone))?;
+    }
+    succeed(Command::new("git").args(["checkout", "--quiet", EARLIER]).current_dir(&clone))?;
+    let build = ["build", "--release", "--locked", "-p", "cosurf-agent"];
+    succeed(Command::new("cargo").args(build).env("CARGO_TARGET_DIR", "target").current_dir(&clone))?;
+    Ok(clone.join("target/release/cosurf-agent"))
 }
 
 /// Measures trainings with poses that are not exact, on Caliterra and on rendered Boruszyn.

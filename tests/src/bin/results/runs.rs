@@ -42,7 +42,7 @@ pub(crate) fn command_fault(stored: &Results) -> Option<String> {
 }
 
 /// All benches, the quickest first.
-pub(crate) const RUNS: [Run; 30] = [
+pub(crate) const RUNS: [Run; 31] = [
     Run {
         name: "sizes",
         about: "size of both programs",
@@ -102,6 +102,12 @@ pub(crate) const RUNS: [Run; 30] = [
         about: "how far four seeds of one training differ",
         command: "cosurf-agent train DATA --seed N",
         measure: commands::seeds,
+    },
+    Run {
+        name: "earlier",
+        about: "trainings against those of an earlier version; hours",
+        command: "cargo bench -p cosurf-tests --bench earlier -- --earlier AGENT --data DATA --max-size PX",
+        measure: benches::earlier,
     },
     Run {
         name: "devices",
