@@ -4,7 +4,6 @@
 
 mod surface;
 
-use std::fs;
 use std::path::{Path, PathBuf};
 use std::process::{Command, Stdio};
 use std::thread::available_parallelism;
@@ -124,10 +123,7 @@ impl Scorer {
         let surface = mean.surface;
         let normals = surface.and_then(|surface| surface.depth_normal_error_deg).map(|error| error.median);
         let depth = surface.and_then(|surface| surface.depth_error_percent).map(|error| error.median);
-        let quality = [Some(mean.psnr), Some(mean.ssim), f_score, normals, depth];
-        let mut figures = [Some(seconds), Some(splats as f64), None, None, None, None, None];
-        figures[2..].copy_from_slice(&quality);
-        Ok(figures)
+        Ok([Some(seconds), Some(splats as f64), Some(mean.psnr), Some(mean.ssim), f_score, normals, depth])
     }
 
     fn order(&self, model: &Path) -> EvalOrder {
