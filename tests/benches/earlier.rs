@@ -15,7 +15,7 @@ use cosurf_aggregator::evaluate::{EvalOrder, EvalReport, evaluate_model};
 use cosurf_scene::{Camera, Dataset, LocalFrame, Mesh, model};
 use cosurf_tests::datasets::{default_dataset, true_surface};
 use cosurf_tests::programs::program;
-use cosurf_tests::results::{Better, Column, Measurement, Tolerance};
+use cosurf_tests::results::{Better, Column, Measurement};
 
 use surface::f_score;
 
@@ -77,12 +77,12 @@ fn columns() -> [Column; 7] {
         Column::psnr("PSNR"),
         Column::ssim(),
         Column::f_score(),
-        Column::new("normals off", "°", 1).guarded(Better::Lower, Tolerance::Relative(0.05)),
-        Column::new("depth off", "%", 2).guarded(Better::Lower, Tolerance::Relative(0.05)),
+        Column::error("normals of the depth", "°", 1),
+        Column::error("depth", "%", 2),
     ]
 }
 
-/// Trains with the defaults of an agent, and returns how long its process took, seconds.
+/// Runs an agent's `train` with its default options. Returns the wall time of the process, seconds.
 fn train(agent: &Path, data: &Path, steps: u32, max_size: u32, out: &Path) -> Result<f64> {
     let mut command = Command::new(agent);
     command.arg("train").arg(data).arg("--out").arg(out);

@@ -97,7 +97,7 @@ pub(crate) fn merging(folder: &TempDir) -> Result<Results> {
     read_after(&mut pinned, "merging", folder)
 }
 
-/// Measures trainings against those of [`EARLIER`], in pictures of their own size or of 640 px.
+/// Compares trainings with those of the commit [`EARLIER`], on pictures with a long side of at most 640 px.
 pub(crate) fn earlier(folder: &TempDir) -> Result<Results> {
     build()?;
     let agent = earlier_agent()?;
@@ -107,7 +107,7 @@ pub(crate) fn earlier(folder: &TempDir) -> Result<Results> {
     })
 }
 
-/// Builds the agent of [`EARLIER`] in a clone of the repository, below `target`.
+/// Builds the agent of the commit [`EARLIER`] in a clone of the repository, `target/earlier`. Returns the path of the program.
 fn earlier_agent() -> Result<PathBuf> {
     let clone = machine::root().join("target/earlier");
     if !clone.exists() {
