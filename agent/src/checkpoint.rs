@@ -16,7 +16,7 @@ use cosurf_scene::{Camera, SceneError, SparsePoint, atomic, files};
 use serde::{Deserialize, Serialize};
 use tracing::debug_span;
 
-const FORMAT: &str = "cosurf checkpoint 4";
+const FORMAT: &str = "cosurf checkpoint 5";
 /// A fast compression level. The numbers hardly compress, and training waits until the file is written.
 const ZSTD_LEVEL: i32 = 1;
 /// Numbers of steps whose schedules tell whether two programs have the same rules for schedules.

@@ -43,7 +43,7 @@
 //! while !session.trainer().is_done() {
 //!     session.step()?;
 //! }
-//! let splats = session.into_splats()?;
+//! let splats = session.into_model()?.into_splats();
 //! println!("{} splats", splats.len());
 //! # Ok::<(), anyhow::Error>(())
 //! ```
@@ -61,5 +61,6 @@ pub mod publish;
 mod random_start;
 pub mod session;
 pub mod status;
+mod training_frame;
 pub mod viewing;
 pub mod warm_start;

@@ -16,13 +16,15 @@ use cosurf_engine::{
 use cosurf_scene::bytes::format_bytes;
 use cosurf_scene::cache::Source;
 use cosurf_scene::{
-    Camera, Dataset, LocalFrame, ORIGIN_MAX, Opened, PictureCache, Shrinking, SparsePoint, Splats, View, mask,
+    Camera, Dataset, LocalFrame, ORIGIN_MAX, Opened, PictureCache, Shrinking, SparsePoint, Splats, View,
+    camera, mask,
 };
 use glam::DVec3;
 use tracing::info_span;
 
 use crate::checkpoint::{Checkpoint, Fingerprint};
 use crate::random_start;
+use crate::training_frame::TrainingFrame;
 use crate::warm_start::{VisibleSplats, read_visible_splats};
 
 /// Degree of the spherical harmonics that the model stores for its colours.
@@ -120,11 +122,16 @@ pub fn flight(plan: &TrainPlan) -> Result<Vec<Camera>> {
     Ok(train.into_iter().map(|i| shrunk(&dataset.views[i].camera)).collect())
 }
 
-/// A training in progress.
+/// A training in progress. The trainer and its cameras are in a frame of their own; what the session returns is in
+/// [`Self::frame`], unless told otherwise.
 pub struct Session {
     frame: LocalFrame,
+    training_frame: TrainingFrame,
+    /// The training cameras as they were given, and as the training began with them.
+    cameras: [Vec<Camera>; 2],
     trainer: Trainer<AnyBackend>,
     cache: PictureCache,
+    /// In the frame of the training.
     held_out: Vec<View>,
     /// Largest width and largest height of the training pictures, px.
     size_px: [u32; 2],
@@ -156,7 +163,7 @@ impl Session {
         check_origin(plan, &frame)?;
         let mut data = data.into_frame(&frame);
         let in_frame = |view: &View| View { camera: frame.local_camera(&view.camera), ..view.clone() };
-        let held_out: Vec<View> = held_out.into_iter().map(|i| in_frame(&dataset.views[i])).collect();
+        let mut held_out: Vec<View> = held_out.into_iter().map(|i| in_frame(&dataset.views[i])).collect();
         drop(dataset);
         if data.views.len() < VIEWS_MIN {
             bail!(
@@ -204,16 +211,25 @@ impl Session {
         let needs_init = checkpoint.is_none() || data.points.is_empty();
         let init = plan.init.as_deref().filter(|_| needs_init);
         let init = init.map(|model| read_init(model, &frame, &cameras, splats_max)).transpose()?;
-        let init = init.map(|VisibleSplats { splats, count }| {
+        let mut init = init.map(|VisibleSplats { splats, count }| {
             let used = splats.len();
             given_up.extend((used < count).then(|| {
                 format!("of the {count} splats to start from that the views see, the {used} most important are used")
             }));
             splats
         });
-        let stand_ins = init.as_ref().filter(|_| data.points.is_empty()).map(centres);
+        let mut stand_ins = init.as_ref().filter(|_| data.points.is_empty()).map(centres);
+        let points = stand_ins.as_mut().unwrap_or(&mut data.points);
+        let training_frame = TrainingFrame::of(&cameras, extent(&cameras, points));
+        let given = cameras;
+        let cameras: Vec<Camera> = given.iter().map(|camera| training_frame.camera(camera)).collect();
+        held_out.iter_mut().for_each(|view| view.camera = training_frame.camera(&view.camera));
+        training_frame.move_points(points);
         let points = stand_ins.as_deref().unwrap_or(&data.points);
-        let extent = extent(&data, points);
+        if let Some(init) = &mut init {
+            training_frame.move_splats(init);
+        }
+        let extent = extent(&cameras, points);
         let settings = TrainSettings {
             schedule: Schedule::new(plan.steps),
             extent,
@@ -237,12 +253,15 @@ impl Session {
             let from_points = || splats_from_points(&data.points, extent, splats_max, SH_DEGREE, form);
             backend.load(&init.unwrap_or_else(from_points));
         }
-        let mut trainer = Trainer::new(backend, settings, TrainingViews { cameras, neighbours });
+        let mut trainer =
+            Trainer::new(backend, settings, TrainingViews { cameras: cameras.clone(), neighbours });
         if let Some(checkpoint) = checkpoint {
             checkpoint.restore(&fingerprint, &mut trainer)?;
         }
         Ok(Self {
             frame,
+            training_frame,
+            cameras: [given, cameras],
             trainer,
             cache,
             held_out,
@@ -291,22 +310,27 @@ impl Session {
         &self.fingerprint
     }
 
-    /// The trainer.
+    /// The trainer. Its numbers are in the frame of the training.
     pub fn trainer(&self) -> &Trainer<AnyBackend> {
         &self.trainer
     }
 
-    /// The frame of the model and of all cameras of the session.
+    /// The frame of the model and of the cameras that the session returns.
     pub fn frame(&self) -> LocalFrame {
         self.frame
     }
 
-    /// The training cameras, scaled to the picture sizes that training uses, ordered by view name.
-    pub fn cameras(&self) -> &[Camera] {
-        self.trainer.cameras()
+    /// The training cameras, scaled to the picture sizes that training uses, ordered by view name. A camera whose pose was
+    /// not learnt has its given bits.
+    pub fn cameras(&self) -> Vec<Camera> {
+        let [given, begun_with] = &self.cameras;
+        let of = |((now, given), begun_with): ((&Camera, &Camera), &Camera)| {
+            if now == begun_with { *given } else { self.training_frame.given_camera(now) }
+        };
+        self.trainer.cameras().iter().zip(given).zip(begun_with).map(of).collect()
     }
 
-    /// The held-out views, with cameras for the pictures in their size on disk.
+    /// The held-out views in the frame of the training, with cameras for the pictures in their size on disk.
     pub fn held_out(&self) -> &[View] {
         &self.held_out
     }
@@ -327,11 +351,11 @@ impl Session {
     }
 
     /// Ends the session, frees its memory and returns the model. Fails with [`DeviceLost`] if the device was lost.
-    pub fn into_splats(self) -> Result<Splats> {
+    pub fn into_model(self) -> Result<TrainedModel> {
         let backend = self.trainer.into_backend();
         let splats = backend.splats();
         check_device(&backend)?;
-        Ok(splats)
+        Ok(TrainedModel { splats, frame: self.training_frame })
     }
 
     /// The reductions that the memory limit forced, one line of text each.
@@ -342,6 +366,25 @@ impl Session {
             given_up.push(format!("{mean:.0} of the farthest splat–tile pairs dropped per step, on average"));
         }
         given_up
+    }
+}
+
+/// A trained model, still in the frame of its training.
+pub struct TrainedModel {
+    splats: Splats,
+    frame: TrainingFrame,
+}
+
+impl TrainedModel {
+    /// The splats in the frame of the training, that of [`Session::held_out`].
+    pub fn in_training(&self) -> &Splats {
+        &self.splats
+    }
+
+    /// The splats in the frame of the session, [`Session::frame`].
+    pub fn into_splats(mut self) -> Splats {
+        self.frame.move_splats_back(&mut self.splats);
+        self.splats
     }
 }
 
@@ -420,14 +463,14 @@ fn centres(splats: &Splats) -> Vec<SparsePoint> {
     splats.means.iter().map(point).collect()
 }
 
-/// Extent of the scene in world units, as [`Dataset::extent`] computes it from the cameras. If all cameras are in one
-/// place, it is the median distance of `points` from the first camera. `points` must not be empty.
-fn extent(data: &Dataset, points: &[SparsePoint]) -> f64 {
-    let extent = data.extent();
+/// Extent of the scene in the unit of the cameras, as 3DGS defines it. If all cameras are in one place, it is the median
+/// distance of `points` from the first camera. `points` must not be empty.
+fn extent(cameras: &[Camera], points: &[SparsePoint]) -> f64 {
+    let extent = camera::extent(cameras.iter());
     if extent > 0.0 {
         return extent;
     }
-    let eye = data.views[0].camera.cam_from_world.center();
+    let eye = cameras[0].cam_from_world.center();
     let mut distances: Vec<f64> = points.iter().map(|point| point.position.distance(eye)).collect();
     distances.sort_by(f64::total_cmp);
     distances[distances.len() / 2].max(1e-6)

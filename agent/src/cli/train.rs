@@ -15,7 +15,7 @@ use cosurf_engine::{
     Backend, DeviceChoice, DeviceLost, PoseChoice, PruneScore, PruneSettings, Renderer, SurfaceSettings,
 };
 use cosurf_scene::bytes::{format_bytes, parse_bytes};
-use cosurf_scene::{Camera, Dataset, FolderLock, Splats, check_space, files, model};
+use cosurf_scene::{Camera, Dataset, FolderLock, check_space, files, model};
 use tracing::info_span;
 
 use super::arguments::{Common, DeviceArgs};
@@ -342,23 +342,24 @@ fn finish(
 ) -> Result<TrainReport> {
     let (given_up, shrinking) = (session.given_up(), session.shrinking());
     let (frame, cameras, held_out, size_px) =
-        (session.frame(), session.cameras().to_vec(), session.held_out().to_vec(), session.size_px());
+        (session.frame(), session.cameras(), session.held_out().to_vec(), session.size_px());
     let device = session.trainer().backend().device();
     let extent = session.trainer().settings().extent;
     let poses = session.trainer().poses_found().filter(|found| found.learnt);
     // Frees the optimiser's memory before the renderer allocates its own.
-    let splats: Splats = session.into_splats()?;
-    if splats.is_empty() {
+    let model = session.into_model()?;
+    if model.in_training().is_empty() {
         bail!(
             "{}: nothing was learnt, no splat is left; check that the poses belong to the pictures",
             plan.data.display()
         );
     }
-    let mut renderer = Renderer::new(&splats, plan.threads);
+    let mut renderer = Renderer::new(model.in_training(), plan.threads);
     let long_side_px = size_px[0].max(size_px[1]);
     let render = |camera: &Camera| Ok(renderer.render(camera));
     let score = evaluate::score(render, &held_out, long_side_px, shrinking, poses.map(|_| extent))?;
     drop(renderer);
+    let splats = model.into_splats();
     let report = TrainReport {
         steps: plan.steps,
         seconds: spent.seconds,

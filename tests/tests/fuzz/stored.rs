@@ -119,7 +119,7 @@ fn lists_of_users_are_read_or_refused() {
 
 #[test]
 fn heads_of_checkpoints_are_read_or_refused() {
-    let head = "{\"format\":\"cosurf checkpoint 4\",\"fingerprint\":\"ab12\",\"steps\":9,\"steps_done\":7,\"splats\":3,\
+    let head = "{\"format\":\"cosurf checkpoint 5\",\"fingerprint\":\"ab12\",\"steps\":9,\"steps_done\":7,\"splats\":3,\
                 \"splats_at_start\":3,\"seconds\":1.5,\"cpu_seconds\":2.5}\n";
     let folder = folder();
     let path = checkpoint::path(folder.path());
