@@ -11,21 +11,21 @@ use cosurf_engine::init::{Form, splats_from_points};
 use cosurf_engine::train::StepOutcome;
 use cosurf_engine::{
     AnyBackend, Backend, Device, DeviceChoice, DeviceLost, Example, Neighbours, PoseChoice, PruneSettings,
-    Schedule, SurfaceSettings, TrainSettings, Trainer, TrainingViews,
+    Schedule, SurfaceSettings, TrainSettings, Trainer, TrainingViews, typical_depth,
 };
 use cosurf_scene::bytes::format_bytes;
 use cosurf_scene::cache::Source;
 use cosurf_scene::{
-    Camera, Dataset, LocalFrame, ORIGIN_MAX, Opened, PictureCache, Shrinking, SparsePoint, Splats, View,
-    camera, mask,
+    Camera, Dataset, LocalFrame, ORIGIN_MAX, Opened, PictureCache, SCENE_SIZES, Shrinking, SparsePoint,
+    Splats, View, mask,
 };
 use glam::DVec3;
 use tracing::info_span;
 
 use crate::checkpoint::{Checkpoint, Fingerprint};
-use crate::random_start;
 use crate::training_frame::TrainingFrame;
 use crate::warm_start::{VisibleSplats, read_visible_splats};
+use crate::{random_start, training_frame};
 
 /// Degree of the spherical harmonics that the model stores for its colours.
 pub const SH_DEGREE: u32 = 3;
@@ -220,16 +220,18 @@ impl Session {
         });
         let mut stand_ins = init.as_ref().filter(|_| data.points.is_empty()).map(centres);
         let points = stand_ins.as_mut().unwrap_or(&mut data.points);
-        let training_frame = TrainingFrame::of(&cameras, extent(&cameras, points));
+        let depth = depth(&cameras, points);
+        check_size(plan, depth * frame.unit())?;
+        let place = TrainingFrame::of(&cameras, depth);
         let given = cameras;
-        let cameras: Vec<Camera> = given.iter().map(|camera| training_frame.camera(camera)).collect();
-        held_out.iter_mut().for_each(|view| view.camera = training_frame.camera(&view.camera));
-        training_frame.move_points(points);
+        let cameras: Vec<Camera> = given.iter().map(|camera| place.camera(camera)).collect();
+        held_out.iter_mut().for_each(|view| view.camera = place.camera(&view.camera));
+        place.move_points(points);
         let points = stand_ins.as_deref().unwrap_or(&data.points);
         if let Some(init) = &mut init {
-            training_frame.move_splats(init);
+            place.move_splats(init);
         }
-        let extent = extent(&cameras, points);
+        let extent = training_frame::extent(&cameras);
         let settings = TrainSettings {
             schedule: Schedule::new(plan.steps),
             extent,
@@ -260,7 +262,7 @@ impl Session {
         }
         Ok(Self {
             frame,
-            training_frame,
+            training_frame: place,
             cameras: [given, cameras],
             trainer,
             cache,
@@ -401,6 +403,18 @@ fn check_origin(plan: &TrainPlan, frame: &LocalFrame) -> Result<()> {
     Ok(())
 }
 
+/// Fails if a scene of such a depth, world units, cannot be real. Numbers of its model would not be finite in files.
+fn check_size(plan: &TrainPlan, depth: f64) -> Result<()> {
+    if !SCENE_SIZES.contains(&depth) {
+        bail!(
+            "{}: the points lie about {depth:.1e} from the cameras, in no unit a real scene; check poses and points, or use \
+             metres",
+            plan.data.display()
+        );
+    }
+    Ok(())
+}
+
 /// Fails if the device was lost. Values that were read from a lost device are not valid, so call this after reading.
 fn check_device(backend: &AnyBackend) -> Result<(), DeviceLost> {
     backend.lost().map_or(Ok(()), |reason| Err(DeviceLost(reason)))
@@ -463,17 +477,15 @@ fn centres(splats: &Splats) -> Vec<SparsePoint> {
     splats.means.iter().map(point).collect()
 }
 
-/// Extent of the scene in the unit of the cameras, as 3DGS defines it. If all cameras are in one place, it is the median
-/// distance of `points` from the first camera. `points` must not be empty.
-fn extent(cameras: &[Camera], points: &[SparsePoint]) -> f64 {
-    let extent = camera::extent(cameras.iter());
-    if extent > 0.0 {
-        return extent;
-    }
-    let eye = cameras[0].cam_from_world.center();
-    let mut distances: Vec<f64> = points.iter().map(|point| point.position.distance(eye)).collect();
-    distances.sort_by(f64::total_cmp);
-    distances[distances.len() / 2].max(1e-6)
+/// Typical depth of the scene in the unit of the cameras. If no camera sees a point, it is the median distance of the points
+/// from the first camera. `points` must not be empty.
+fn depth(cameras: &[Camera], points: &[SparsePoint]) -> f64 {
+    typical_depth(cameras, points).unwrap_or_else(|| {
+        let eye = cameras[0].cam_from_world.center();
+        let mut distances: Vec<f64> = points.iter().map(|point| point.position.distance(eye)).collect();
+        distances.sort_by(f64::total_cmp);
+        distances[distances.len() / 2]
+    })
 }
 
 /// Chooses the device, plans all sizes and allocates the backend's buffers. With `auto`, a GPU is used only if the

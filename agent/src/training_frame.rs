@@ -1,5 +1,5 @@
-//! The frame of the numbers that a model is trained in. The cameras alone decide its origin, unit and axes, so a scene trains
-//! to the same model in whatever coordinates it is given.
+//! The frame of the numbers that a model is trained in. The scene alone decides it: the cameras its origin and axes, and how far
+//! from them the points lie its unit. So a scene trains to the same model in whatever coordinates it is given.
 //!
 //! Training is chaotic: two scenes that differ in the last bit of a position end with splats at other places, and with up to
 //! 0.5 dB more or less. A scene in UTM or in millimetres differs in these bits. Here, they are rounded away: what is left of
@@ -8,13 +8,14 @@
 //!
 //! What it knows nothing about: files, and what the frame of the files is.
 
-use cosurf_scene::{Camera, Pose, SparsePoint, Splats, turn};
+use cosurf_scene::{Camera, Pose, SparsePoint, Splats, camera, turn};
 use glam::{DMat3, DQuat, DVec3};
 
-/// RMS distance of the cameras from their middle, units of the training. The extent of a scene is then about 64.
-const CAMERAS_RMS: f64 = 32.0;
-/// Steps of the rounding of the cameras' places, of the points' and of quaternions, units of the training. Of an extent of
-/// 100 m, that is 0.1 mm for cameras and 3 mm for points, far less than a pixel. In UTM and ECEF the numbers of a file are
+/// The typical depth of a scene, units of the training. The renderer leaves out what is nearer than 0.2 units, so that is a
+/// hundred-and-sixtieth of this depth, however far the cameras are from each other.
+const DEPTH: f64 = 32.0;
+/// Steps of the rounding of the cameras' places, of the points' and of quaternions, units of the training. From 60 m above the
+/// ground, that is 0.1 mm for cameras and 4 mm for points, far less than a pixel. In UTM and ECEF the numbers of a file are
 /// exact to a nanometre, so that a rounding rarely goes another way there.
 const CAMERA_STEP: f64 = 1.0 / 16_384.0;
 const POINT_STEP: f64 = 1.0 / 512.0;
@@ -24,7 +25,17 @@ const IN_COMMON_MIN: f64 = 0.1;
 /// An axis of a camera is across a direction if the cosine of the angle between them is at most this.
 const ACROSS_MAX: f64 = 0.8;
 
-/// A frame with `training = rotation · (given - origin) / unit`, where *given* is the frame of the cameras that decide it.
+/// Cameras are almost in one place if the extent of their scene is at most this share of its depth.
+const ONE_PLACE: f64 = 0.01;
+
+/// Extent of the scene as 3DGS defines it, for cameras in the frame of the training. If all of them are almost in one place, it
+/// is the typical depth, because the rates of learning follow from it.
+pub(crate) fn extent(cameras: &[Camera]) -> f64 {
+    let extent = camera::extent(cameras.iter());
+    if extent > ONE_PLACE * DEPTH { extent } else { DEPTH }
+}
+
+/// A frame with `training = rotation · (given - origin) / unit`, where *given* is the frame of the scene that decides it.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub(crate) struct TrainingFrame {
     origin: DVec3,
@@ -34,16 +45,12 @@ pub(crate) struct TrainingFrame {
 }
 
 impl TrainingFrame {
-    /// The frame that these cameras decide. If all of them are in one place, `size` decides the unit: another length of the
-    /// scene, such as the distance of its points. There must be a camera.
-    pub(crate) fn of(cameras: &[Camera], size: f64) -> Self {
-        let centers = || cameras.iter().map(|camera| camera.cam_from_world.center());
-        let count = cameras.len() as f64;
-        let origin = centers().sum::<DVec3>() / count;
-        let rms = (centers().map(|center| center.distance_squared(origin)).sum::<f64>() / count).sqrt();
-        let unit = (if rms > 0.0 { rms } else { size }) / CAMERAS_RMS;
-        let unit = if unit.is_normal() { unit } else { 1.0 };
-        Self { origin, unit, rotation: axes(cameras) }
+    /// The frame that these cameras and the typical depth of their scene, which is positive, decide. There must be a
+    /// camera.
+    pub(crate) fn of(cameras: &[Camera], depth: f64) -> Self {
+        let centers = cameras.iter().map(|camera| camera.cam_from_world.center());
+        let origin = centers.sum::<DVec3>() / cameras.len() as f64;
+        Self { origin, unit: depth / DEPTH, rotation: axes(cameras) }
     }
 
     /// Maps a camera into this frame, and rounds it.
@@ -195,7 +202,7 @@ mod tests {
             let cameras: Vec<Camera> = flight().iter().map(|camera| elsewhere.camera(camera)).collect();
             let mut points = meadow();
             points.iter_mut().for_each(|point| point.position = elsewhere.point(point.position));
-            let frame = TrainingFrame::of(&cameras, 1.0);
+            let frame = TrainingFrame::of(&cameras, 60.0 * elsewhere.scale);
             frame.move_points(&mut points);
             (cameras.iter().map(|camera| frame.camera(camera)).collect::<Vec<_>>(), points)
         };
@@ -207,14 +214,14 @@ mod tests {
         assert!(nearly == here, "the whole scene is turned");
         let mut cameras = flight();
         cameras[3].cam_from_world.translation.x += 0.01;
-        let frame = TrainingFrame::of(&cameras, 1.0);
+        let frame = TrainingFrame::of(&cameras, 60.0);
         assert_ne!(frame.camera(&cameras[3]), here.0[3], "another scene");
     }
 
     #[test]
     fn cameras_points_and_splats_come_back() {
         let cameras = flight();
-        let frame = TrainingFrame::of(&cameras, 1.0);
+        let frame = TrainingFrame::of(&cameras, 60.0);
         for given in &cameras {
             let back = frame.given_camera(&frame.camera(given)).cam_from_world;
             assert!(back.center().distance(given.cam_from_world.center()) < 1e-4);
@@ -239,7 +246,7 @@ mod tests {
     }
 
     #[test]
-    fn cameras_decide_even_if_they_are_in_one_place_or_look_all_around() {
+    fn cameras_may_be_in_one_place_and_look_all_around() {
         let around = |i: u32| {
             let (sin, cos) = libm::sincos(f64::from(i));
             camera(DVec3::ZERO, DVec3::new(sin, 0.01 * f64::from(i) - 0.2, cos))
@@ -247,9 +254,13 @@ mod tests {
         let cameras: Vec<Camera> = (0..40).map(around).collect();
         let frame = TrainingFrame::of(&cameras, 64.0);
         assert_eq!(frame.unit, 2.0);
+        // A panorama far from the origin, whose centres differ by rounding.
+        let far = Elsewhere { translation: DVec3::new(0.1, -70.3, 60.7), ..HERE };
+        let shifted: Vec<Camera> = cameras.iter().map(|camera| far.camera(camera)).collect();
+        assert_eq!(extent(&shifted), DEPTH);
+        assert!(extent(&flight()) > DEPTH);
         let z = frame.rotation * cameras[0].cam_from_world.forward();
         assert!(z.distance(DVec3::Z) < 1e-9, "{z}");
-        assert_eq!(TrainingFrame::of(&cameras[..1], 0.0).unit, 1.0, "nothing tells the size");
         // A camera whose x axis is where all look together.
         let mut cameras = vec![camera(DVec3::ZERO, DVec3::X); 9];
         cameras.insert(0, camera(DVec3::ZERO, DVec3::Z));

@@ -150,16 +150,17 @@ fn a_second_round_begins_from_the_first_ones_model() {
     let folder = tempfile::tempdir().unwrap();
     let data = folder.path().join("data");
     write_city(&data, 60.0, 16, [160, 120]);
-    let [one, two] = ["1", "2"].map(|rounds| {
+    // A round of the second mission has as many steps as the first mission.
+    let [one, two] = [("1", "100"), ("2", "200")].map(|(rounds, steps)| {
         let out = folder.path().join(rounds);
-        let fly = || finish(start(&data, &out, &["--steps", "200", "--seed", "1", "--rounds", rounds]), &out);
+        let fly = || finish(start(&data, &out, &["--steps", steps, "--seed", "1", "--rounds", rounds]), &out);
         let first = fly();
         assert!(fly() == first, "{rounds}: the same command changes the global model");
         let report: serde_json::Value =
             serde_json::from_slice(&fs::read(out.join("report.json")).unwrap()).unwrap();
         report.pointer("/whole/quality/psnr").unwrap().as_f64().unwrap()
     });
-    assert!(two > one - 0.5, "{two:.2} dB instead of {one:.2} dB");
+    assert!(two > one, "{two:.2} dB after two rounds, {one:.2} dB after one");
     for agent in ["agent-1", "agent-2"] {
         let text = fs::read(folder.path().join("2/agents").join(agent).join("changes-init.json")).unwrap();
         let changes: Changes = serde_json::from_slice(&text).unwrap();

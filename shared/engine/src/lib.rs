@@ -46,7 +46,7 @@ pub use compress::{Compression, Observations, Observers, Reach, Trust};
 pub use cpu::CpuBackend;
 pub use device::{Device, DeviceChoice, DeviceError, DeviceLost};
 pub use distill::{DistillSettings, Distiller, Lesson, StudentRates};
-pub use neighbours::Neighbours;
+pub use neighbours::{Neighbours, typical_depth};
 pub use poses::{PoseChoice, PosesFound, aligned};
 pub use prune::PruneScore;
 pub use render::Renderer;

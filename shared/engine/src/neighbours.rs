@@ -65,6 +65,12 @@ fn nearest(cameras: &[Camera], view: usize, depth: f64) -> Vec<u32> {
     found.into_iter().map(|(_, other)| other).collect()
 }
 
+/// The typical depth of a scene, in its unit: the median over the views of the median depths of the sparse points that they
+/// see; `None` if no view sees any. [`SparsePoint::views`] are indices into `cameras`.
+pub fn typical_depth(cameras: &[Camera], points: &[SparsePoint]) -> Option<f64> {
+    median(median_depths(cameras, points).into_iter().flatten().collect())
+}
+
 /// For each view, the median depth of the sparse points that it sees; `None` if it sees none.
 fn median_depths(cameras: &[Camera], points: &[SparsePoint]) -> Vec<Option<f64>> {
     let mut depths: Vec<Vec<f64>> = vec![Vec::new(); cameras.len()];

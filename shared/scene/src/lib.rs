@@ -72,7 +72,7 @@ pub use footprint::{Footprint, Ground, footprints};
 pub use frustum::{Frustum, Watchers};
 pub use lens::{Distortion, FullBrown, Lens};
 pub use loader::Opened;
-pub use local_frame::{LocalFrame, ORIGIN_MAX};
+pub use local_frame::{LocalFrame, ORIGIN_MAX, SCENE_SIZES};
 pub use lock::FolderLock;
 pub use mask::Mask;
 pub use mask_files::{is_of_masks, mask_of};

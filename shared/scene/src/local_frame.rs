@@ -28,8 +28,8 @@ const LATTICE_EXTENTS: f64 = 4.0;
 const ORDINARY: std::ops::RangeInclusive<f64> = 0.5..=16_384.0;
 /// Any other is scaled to this extent or up to twice as much.
 const EXTENT: f64 = 64.0;
-/// Extents of real scenes, from a crystal's to a planet's; what lies beyond is damage.
-const EXTENTS: std::ops::RangeInclusive<f64> = 1e-9..=1e12;
+/// Sizes of real scenes, world units, from a crystal's to a planet's; what lies beyond is damage.
+pub const SCENE_SIZES: std::ops::RangeInclusive<f64> = 1e-9..=1e12;
 
 /// A frame whose axes are those of the world: `world = origin + unit · local`.
 #[derive(Clone, Copy, Debug, PartialEq)]
@@ -55,7 +55,7 @@ impl LocalFrame {
         let centers = cameras.map(|camera| camera.cam_from_world.center());
         let center = centers.clone().sum::<DVec3>() / centers.count().max(1) as f64;
         // Distances in ECEF are exact to a nanometre; a smaller extent is rounding.
-        let is_told = EXTENTS.contains(&extent) && extent > 1e-12 * center.abs().max_element();
+        let is_told = SCENE_SIZES.contains(&extent) && extent > 1e-12 * center.abs().max_element();
         if !is_told {
             return Self::WORLD;
         }
