@@ -15,6 +15,9 @@ const BASELINE_MIN: f64 = 0.02;
 /// Longest baseline between neighbours, as a share of the median depth.
 const BASELINE_MAX: f64 = 0.5;
 
+/// Most points that tell the typical depth: without tracks, a point takes memory for each view that it lies in.
+const TYPICAL_POINTS_MAX: usize = 10_000;
+
 /// For each view, the views that it may be compared with, nearest first.
 #[derive(Clone, Debug, Default, PartialEq, Eq)]
 pub struct Neighbours(Vec<Vec<u32>>);
@@ -29,7 +32,7 @@ impl Neighbours {
     /// baseline to its neighbours; a view that sees no points has none. [`SparsePoint::views`] are indices into
     /// `cameras`.
     pub fn find(cameras: &[Camera], points: &[SparsePoint]) -> Self {
-        let depths = median_depths(cameras, points);
+        let depths = median_depths(cameras, points.iter());
         Self(
             depths
                 .iter()
@@ -66,13 +69,15 @@ fn nearest(cameras: &[Camera], view: usize, depth: f64) -> Vec<u32> {
 }
 
 /// The typical depth of a scene, in its unit: the median over the views of the median depths of the sparse points that they
-/// see; `None` if no view sees any. [`SparsePoint::views`] are indices into `cameras`.
+/// see; `None` if no view sees any. Of many points, some at even intervals are asked. [`SparsePoint::views`] are indices into
+/// `cameras`.
 pub fn typical_depth(cameras: &[Camera], points: &[SparsePoint]) -> Option<f64> {
-    median(median_depths(cameras, points).into_iter().flatten().collect())
+    let some = points.iter().step_by(points.len().div_ceil(TYPICAL_POINTS_MAX).max(1));
+    median(median_depths(cameras, some).into_iter().flatten().collect())
 }
 
 /// For each view, the median depth of the sparse points that it sees; `None` if it sees none.
-fn median_depths(cameras: &[Camera], points: &[SparsePoint]) -> Vec<Option<f64>> {
+fn median_depths<'a>(cameras: &[Camera], points: impl Iterator<Item = &'a SparsePoint>) -> Vec<Option<f64>> {
     let mut depths: Vec<Vec<f64>> = vec![Vec::new(); cameras.len()];
     for point in points {
         let mut note = |view: usize| {
@@ -121,6 +126,20 @@ mod tests {
             views: views.clone(),
         });
         (cameras, points.collect())
+    }
+
+    #[test]
+    fn the_typical_depth_is_that_of_most_views() {
+        let (cameras, mut points) = flight(&[0.0, 10.0, 20.0]);
+        let is_50_m = |points: &[SparsePoint]| {
+            typical_depth(&cameras, points).is_some_and(|depth| (depth - 50.0).abs() < 1e-9)
+        };
+        assert!(is_50_m(&points));
+        points.iter_mut().for_each(|point| point.views.clear());
+        let many: Vec<SparsePoint> =
+            points.iter().cycle().take(3 * TYPICAL_POINTS_MAX + 1).cloned().collect();
+        assert!(is_50_m(&many), "without tracks");
+        assert_eq!(typical_depth(&cameras, &[]), None);
     }
 
     #[test]
