@@ -129,8 +129,8 @@ fn train(arguments: &Arguments, data: &Path, variant: &Variant) -> Result<Traine
         session.step()?;
     }
     let seconds = begun.elapsed().as_secs_f64();
-    let cameras = session.cameras().to_vec();
-    Ok(Trained { splats: session.into_splats()?, cameras, seconds })
+    let cameras = session.cameras();
+    Ok(Trained { splats: session.into_model()?.into_splats(), cameras, seconds })
 }
 
 fn threads() -> usize {
