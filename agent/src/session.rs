@@ -122,13 +122,13 @@ pub fn flight(plan: &TrainPlan) -> Result<Vec<Camera>> {
     Ok(train.into_iter().map(|i| shrunk(&dataset.views[i].camera)).collect())
 }
 
-/// A training in progress. The trainer and its cameras are in a frame of their own; what the session returns is in
-/// [`Self::frame`], unless told otherwise.
+/// A training in progress. The trainer computes in a frame of its own. What the session returns is in [`Self::frame`], unless
+/// its documentation names another frame.
 pub struct Session {
     frame: LocalFrame,
     training_frame: TrainingFrame,
-    /// The training cameras as they were given, and as the training began with them.
-    cameras: [Vec<Camera>; 2],
+    /// The training cameras as the dataset gives them, in `frame`.
+    given_cameras: Vec<Camera>,
     trainer: Trainer<AnyBackend>,
     cache: PictureCache,
     /// In the frame of the training.
@@ -222,14 +222,14 @@ impl Session {
         let points = stand_ins.as_mut().unwrap_or(&mut data.points);
         let depth = depth(&cameras, points);
         check_size(plan, depth * frame.unit())?;
-        let place = TrainingFrame::of(&cameras, depth);
-        let given = cameras;
-        let cameras: Vec<Camera> = given.iter().map(|camera| place.camera(camera)).collect();
-        held_out.iter_mut().for_each(|view| view.camera = place.camera(&view.camera));
-        place.move_points(points);
+        let training_frame = TrainingFrame::of(&cameras, depth);
+        let given_cameras = cameras;
+        let cameras: Vec<Camera> = given_cameras.iter().map(|camera| training_frame.camera(camera)).collect();
+        held_out.iter_mut().for_each(|view| view.camera = training_frame.camera(&view.camera));
+        training_frame.move_points(points);
         let points = stand_ins.as_deref().unwrap_or(&data.points);
         if let Some(init) = &mut init {
-            place.move_splats(init);
+            training_frame.move_splats(init);
         }
         let extent = training_frame::extent(&cameras);
         let settings = TrainSettings {
@@ -255,15 +255,14 @@ impl Session {
             let from_points = || splats_from_points(&data.points, extent, splats_max, SH_DEGREE, form);
             backend.load(&init.unwrap_or_else(from_points));
         }
-        let mut trainer =
-            Trainer::new(backend, settings, TrainingViews { cameras: cameras.clone(), neighbours });
+        let mut trainer = Trainer::new(backend, settings, TrainingViews { cameras, neighbours });
         if let Some(checkpoint) = checkpoint {
             checkpoint.restore(&fingerprint, &mut trainer)?;
         }
         Ok(Self {
             frame,
-            training_frame: place,
-            cameras: [given, cameras],
+            training_frame,
+            given_cameras,
             trainer,
             cache,
             held_out,
@@ -325,11 +324,11 @@ impl Session {
     /// The training cameras, scaled to the picture sizes that training uses, ordered by view name. A camera whose pose was
     /// not learnt has its given bits.
     pub fn cameras(&self) -> Vec<Camera> {
-        let [given, begun_with] = &self.cameras;
-        let of = |((now, given), begun_with): ((&Camera, &Camera), &Camera)| {
-            if now == begun_with { *given } else { self.training_frame.given_camera(now) }
+        let frame = &self.training_frame;
+        let of = |(now, given): (&Camera, &Camera)| {
+            if *now == frame.camera(given) { *given } else { frame.given_camera(now) }
         };
-        self.trainer.cameras().iter().zip(given).zip(begun_with).map(of).collect()
+        self.trainer.cameras().iter().zip(&self.given_cameras).map(of).collect()
     }
 
     /// The held-out views in the frame of the training, with cameras for the pictures in their size on disk.
@@ -378,7 +377,7 @@ pub struct TrainedModel {
 }
 
 impl TrainedModel {
-    /// The splats in the frame of the training, that of [`Session::held_out`].
+    /// The splats in the frame of the training. The cameras of [`Session::held_out`] are in the same frame.
     pub fn in_training(&self) -> &Splats {
         &self.splats
     }
@@ -403,11 +402,12 @@ fn check_origin(plan: &TrainPlan, frame: &LocalFrame) -> Result<()> {
     Ok(())
 }
 
-/// Fails if a scene of such a depth, world units, cannot be real. Numbers of its model would not be finite in files.
+/// Fails if the typical depth of the scene, world units, is far beyond that of any real scene: its model would have numbers that
+/// are not finite.
 fn check_size(plan: &TrainPlan, depth: f64) -> Result<()> {
     if !SCENE_SIZES.contains(&depth) {
         bail!(
-            "{}: the points lie about {depth:.1e} from the cameras, in no unit a real scene; check poses and points, or use \
+            "{}: the points lie about {depth:.1e} units from the cameras, which is impossible; check poses and points, or use \
              metres",
             plan.data.display()
         );

@@ -1,22 +1,22 @@
-//! The frame of the numbers that a model is trained in. The scene alone decides it: the cameras its origin and axes, and how far
-//! from them the points lie its unit. So a scene trains to the same model in whatever coordinates it is given.
+//! The frame in which a model is trained. It depends on the scene alone: its origin and axes follow from the cameras, and its
+//! unit from the distance of the points from the cameras. So a scene trains to the same model in whatever coordinates it is
+//! given.
 //!
-//! Training is chaotic: two scenes that differ in the last bit of a position end with splats at other places, and with up to
-//! 0.5 dB more or less. A scene in UTM or in millimetres differs in these bits. Here, they are rounded away: what is left of
-//! the cameras and of the points to start from has the same bits in all coordinates (but for a value in a million that lies
-//! between two steps).
+//! The smallest difference grows during a training: if one position differs in its last bit, the result may differ by 0.5 dB.
+//! The same scene in UTM or in millimetres has such differences. So cameras and points are rounded in this frame, after which
+//! they have the same bits in all coordinates, except for the rare value that lies half-way between two steps of the rounding.
 //!
-//! What it knows nothing about: files, and what the frame of the files is.
+//! What it knows nothing about: files.
 
 use cosurf_scene::{Camera, Pose, SparsePoint, Splats, camera, turn};
 use glam::{DMat3, DQuat, DVec3};
 
-/// The typical depth of a scene, units of the training. The renderer leaves out what is nearer than 0.2 units, so that is a
-/// hundred-and-sixtieth of this depth, however far the cameras are from each other.
+/// The typical depth of a scene, units of the training. The renderer leaves out what is nearer than 0.2 units, which is 1/160
+/// of this depth.
 const DEPTH: f64 = 32.0;
-/// Steps of the rounding of the cameras' places, of the points' and of quaternions, units of the training. From 60 m above the
-/// ground, that is 0.1 mm for cameras and 4 mm for points, far less than a pixel. In UTM and ECEF the numbers of a file are
-/// exact to a nanometre, so that a rounding rarely goes another way there.
+/// Cameras' places, points and quaternions are rounded to multiples of these, units of the training. At 60 m above the ground,
+/// that is 0.1 mm for cameras and 4 mm for points, far less than a pixel. Coordinates in UTM and ECEF are exact to a nanometre,
+/// so two versions of a scene are rarely rounded differently.
 const CAMERA_STEP: f64 = 1.0 / 16_384.0;
 const POINT_STEP: f64 = 1.0 / 512.0;
 const QUATERNION_STEP: f64 = 1.0 / 1_073_741_824.0;
@@ -45,8 +45,7 @@ pub(crate) struct TrainingFrame {
 }
 
 impl TrainingFrame {
-    /// The frame that these cameras and the typical depth of their scene, which is positive, decide. There must be a
-    /// camera.
+    /// The frame of a scene with these cameras, at least one, and this typical depth, which must be positive.
     pub(crate) fn of(cameras: &[Camera], depth: f64) -> Self {
         let centers = cameras.iter().map(|camera| camera.cam_from_world.center());
         let origin = centers.sum::<DVec3>() / cameras.len() as f64;

@@ -68,9 +68,9 @@ fn nearest(cameras: &[Camera], view: usize, depth: f64) -> Vec<u32> {
     found.into_iter().map(|(_, other)| other).collect()
 }
 
-/// The typical depth of a scene, in its unit: the median over the views of the median depths of the sparse points that they
-/// see; `None` if no view sees any. Of many points, some at even intervals are asked. [`SparsePoint::views`] are indices into
-/// `cameras`.
+/// The typical depth of a scene, world units: for each view the median depth of the sparse points that it sees, and of these
+/// the median; `None` if no view sees a point. If there are many points, a sample at even intervals is used.
+/// [`SparsePoint::views`] are indices into `cameras`.
 pub fn typical_depth(cameras: &[Camera], points: &[SparsePoint]) -> Option<f64> {
     let some = points.iter().step_by(points.len().div_ceil(TYPICAL_POINTS_MAX).max(1));
     median(median_depths(cameras, some).into_iter().flatten().collect())
