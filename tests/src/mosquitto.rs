@@ -12,7 +12,7 @@ use crate::skips::skip;
 
 /// Settings of a broker without passwords and without TLS. It saves its state every second.
 pub const PLAIN: &str = "listener PORT 127.0.0.1\nallow_anonymous true\npersistence true\n\
-                         persistence_location FOLDER/\nautosave_interval 1\n";
+                         persistence_location FOLDER/\nautosave_interval 1\nset_tcp_nodelay true\n";
 
 /// The example configuration in `shared/docs`, with the placeholders `PORT` and `FOLDER` in place of its port and paths.
 /// Writes its access list, for the site `site`, to `folder`.

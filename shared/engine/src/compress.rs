@@ -197,11 +197,13 @@ impl Ground<'_> {
         };
         // Others look through what only this model shows. Splats in mid-air, each before a single camera of another model,
         // which can own nothing, cost rendered Boruszyn 5.6 dB. The number of votes of a model is limited, so that it cannot
-        // outvote all others with invented cameras.
+        // outvote all others with invented cameras. If only its own cameras see the place, the splats stay: what a model
+        // shows at the border of its ground is better than nothing.
         let through: usize = said.iter().map(|said| said.through).sum();
         let showing: usize = said.iter().map(|said| said.showing).sum();
+        let is_refuted = through > showing && through > said[own].through;
         let of_own = worth(own);
-        let (mut is_lost, mut is_shared) = (through > showing || self.is_hidden(place, own), false);
+        let (mut is_lost, mut is_shared) = (is_refuted || self.is_hidden(place, own), false);
         for (model, worth) in (0..said.len()).filter(|model| *model != own).map(|model| (model, worth(model)))
         {
             is_shared |= worth > 0.0;
