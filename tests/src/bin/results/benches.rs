@@ -23,16 +23,17 @@ const EARLIER: &str = "1fbfbc3";
 /// Training options of the models that are uploaded.
 pub(crate) const TRAINING: [&str; 4] = ["--max-size", "240", "--steps", "1000"];
 
-fn cargo_bench(package: &str, bench: &str, words: &[&str]) -> Command {
+/// Of the whole workspace, as [`build`] does: no dependency is compiled twice for two sets of features.
+fn cargo_bench(bench: &str, words: &[&str]) -> Command {
     let mut command = Command::new("cargo");
-    command.args(["bench", "--locked", "-p", package, "--bench", bench, "--"]).args(words);
+    command.args(["bench", "--locked", "--workspace", "--bench", bench, "--"]).args(words);
     command.current_dir(machine::root()).stdin(Stdio::null());
     command
 }
 
 /// Runs a bench of this package. The bench writes its results into `folder`.
 pub(crate) fn ours(bench: &str, words: &[&str], folder: &TempDir) -> Result<Results> {
-    read_after(&mut cargo_bench("cosurf-tests", bench, words), bench, folder)
+    read_after(&mut cargo_bench(bench, words), bench, folder)
 }
 
 /// Measures the memory of an aggregator to which two hundred agents upload, by an ignored test.
@@ -54,8 +55,8 @@ fn read_after(command: &mut Command, bench: &str, folder: &TempDir) -> Result<Re
 
 /// Runs a bench that uses the library divan, and parses its output. `decimals` are the digits after the point of time
 /// and throughput in tables.
-fn by_divan(package: &str, bench: &str, decimals: [usize; 2]) -> Result<Results> {
-    let output = cargo_bench(package, bench, &[]).stderr(Stdio::inherit()).output()?;
+fn by_divan(bench: &str, decimals: [usize; 2]) -> Result<Results> {
+    let output = cargo_bench(bench, &[]).stderr(Stdio::inherit()).output()?;
     ensure!(output.status.success(), "{bench}: {}", output.status);
     let columns = [
         Column::speed("time", "ms", decimals[0], Better::Lower),
@@ -72,12 +73,12 @@ fn by_divan(package: &str, bench: &str, decimals: [usize; 2]) -> Result<Results>
 
 /// Measures the passes of a training step.
 pub(crate) fn passes(_: &TempDir) -> Result<Results> {
-    by_divan("cosurf-engine", "passes", [2, 1])
+    by_divan("passes", [2, 1])
 }
 
 /// Measures how fast a mesh is fused from depth, and how fast it is scored.
 pub(crate) fn mesh(_: &TempDir) -> Result<Results> {
-    by_divan("cosurf-aggregator", "mesh", [0, 2])
+    by_divan("mesh", [0, 2])
 }
 
 /// Measures gain and cost of the surface losses on the built-in city.
@@ -91,7 +92,7 @@ pub(crate) fn geometry_city(folder: &TempDir) -> Result<Results> {
 pub(crate) fn merging(folder: &TempDir) -> Result<Results> {
     build()?;
     let weights = machine::root().join("../shared/lpips");
-    let bench = cargo_bench("cosurf-tests", "merging", &["--max-size", "160", "--lpips", text(&weights)?]);
+    let bench = cargo_bench("merging", &["--max-size", "160", "--lpips", text(&weights)?]);
     let mut pinned = Command::new("taskset");
     pinned.args(["-c", "0"]).arg(bench.get_program()).args(bench.get_args()).current_dir(machine::root());
     read_after(&mut pinned, "merging", folder)
