@@ -23,7 +23,7 @@ use cosurf_wire::{DeviceId, ModelKind, SiteId, TileId};
 #[derive(Parser)]
 struct Arguments {
     /// Time that the model takes on a line that does not break, seconds
-    #[arg(long, value_name = "S", default_value_t = 60.0)]
+    #[arg(long, value_name = "S", default_value_t = 36.0)]
     seconds: f64,
     /// Longest time that is waited for a transfer, as a multiple of that
     #[arg(long, value_name = "N", default_value_t = 12.0)]
@@ -47,7 +47,7 @@ const FAILURES: [Trouble; 2] = [Trouble::Silent(100), Trouble::Away(600)];
 /// When such a line fails, seconds after the start.
 const FAILS_AT_S: u64 = 20;
 /// Bytes of one splat in a body, about.
-const SPLAT_BYTES: f64 = 21.0;
+const SPLAT_BYTES: f64 = 12.6;
 
 /// What is wrong with a line besides its rate. Times are in seconds.
 #[derive(Clone, Copy, Debug)]

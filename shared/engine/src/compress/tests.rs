@@ -106,6 +106,23 @@ fn a_model_that_looks_through_a_place_does_not_own_it() {
     assert!(lost.len() > 300, "{} are lost: the other model has larger pictures", lost.len());
 }
 
+/// Splats in mid-air, through which the model's own cameras look at its ground. Another model sees the same place or one far
+/// away.
+#[test]
+fn only_other_models_refute_what_a_model_shows() {
+    let mut in_air = Splats::with_capacity(0, 0);
+    level(&mut in_air, 0.5, 5.0);
+    let lost_beside_one_at = |x: f32| {
+        let mut other = ground();
+        other.means.iter_mut().for_each(|mean| mean[0] += x);
+        let cameras_of_other = (0..4).map(|i| above(f64::from(x) + 0.2 * f64::from(i), 0.0, 100.0)).collect();
+        let models = [(ground(), cameras(4, 100.0), 1.0), (other, cameras_of_other, 1.0)];
+        Compression::plan(&in_air, 0, &known(&models)).removed.len()
+    };
+    assert_eq!(lost_beside_one_at(50.0), 0);
+    assert_eq!(lost_beside_one_at(0.0), in_air.len());
+}
+
 #[test]
 fn finer_pixels_than_were_checked_do_not_count() {
     let models = [400.0, 100.0].map(|focal_px| (ground(), cameras(4, focal_px), 1.0));
