@@ -33,9 +33,12 @@ pub(crate) fn row_line(columns: &[Column], row: &Row) -> String {
     format!("| {} |{cells}\n", row.name)
 }
 
-/// Formats a number with `decimals` digits after the point. From 10,000 on, commas separate the thousands.
+/// Formats a number with `decimals` digits after the point; zero has no sign. From 10,000 on, commas separate the thousands.
 pub(crate) fn number(value: f64, decimals: usize) -> String {
-    let text = format!("{value:.decimals$}");
+    let mut text = format!("{value:.decimals$}");
+    if text.trim_start_matches(['-', '0', '.']).is_empty() {
+        text.retain(|sign| sign != '-');
+    }
     let (whole, fraction) =
         text.split_once('.').map_or((text.as_str(), ""), |(whole, fraction)| (whole, fraction));
     let digits = whole.trim_start_matches('-');
@@ -57,6 +60,8 @@ mod tests {
     fn numbers_are_readable() {
         assert_eq!(number(23.456, 2), "23.46");
         assert_eq!(number(9999.0, 0), "9999");
+        assert_eq!(number(-0.004, 2), "0.00");
+        assert_eq!(number(-0.006, 2), "-0.01");
         assert_eq!(number(138_677.0, 0), "138,677");
         assert_eq!(number(-1_234_567.25, 1), "-1,234,567.2");
     }
