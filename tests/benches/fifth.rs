@@ -232,8 +232,8 @@ fn train(data: &Path, size_px: u32, steps: u32, out: &Path) -> Result<()> {
         command.args([option, &value.to_string()]);
     }
     let output = command.stdin(Stdio::null()).stdout(Stdio::null()).output()?;
-    // With poses that say nothing, the agent writes its model and ends with an error. The model counts here.
-    let is_written = output.status.success() || out.join("model.ply").is_file();
+    // An agent that has learnt nothing, because of wrong poses, ends with an error after it has written all files.
+    let is_written = out.join("report.json").is_file();
     ensure!(is_written, "{}: {}", out.display(), String::from_utf8_lossy(&output.stderr));
     Ok(())
 }

@@ -38,9 +38,8 @@ fn attack_02_small_retained_messages() {
         let bytes: Vec<u8> = (0..5000).flat_map(|number| message(batch * 5000 + number)).collect();
         attacker.send(&bytes);
     }
-    // While the flood waited in a buffer, the attacker's oldest messages gave way: that is room for more, for thousands where
-    // the computer is busy.
-    let mut last = (0..50_000).map(|number| attacker.publish(&format!("last/{number}"), &[7; 8], true));
+    // While the flood waited in a buffer, the attacker's oldest messages gave way: that is room for some more.
+    let mut last = (0..5000).map(|number| attacker.publish(&format!("last/{number}"), &[7; 8], true));
     assert!(last.any(|code| code == QUOTA_EXCEEDED), "the attacker is not told");
     println!("200,000 retained messages take {} KiB", ground.taken() >> 10);
     assert!(is_within_bound(ground.taken()), "{} KiB", ground.taken() >> 10);

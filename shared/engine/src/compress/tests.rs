@@ -106,8 +106,8 @@ fn a_model_that_looks_through_a_place_does_not_own_it() {
     assert!(lost.len() > 300, "{} are lost: the other model has larger pictures", lost.len());
 }
 
-/// Splats in mid-air, through which the model's own cameras look at its ground. Another model sees the same place or one far
-/// away.
+/// A model has splats in mid-air, although its own cameras see the ground below them. It loses them only if cameras of another
+/// model see that ground too.
 #[test]
 fn only_other_models_refute_what_a_model_shows() {
     let mut in_air = Splats::with_capacity(0, 0);

@@ -23,7 +23,7 @@ const EARLIER: &str = "1fbfbc3";
 /// Training options of the models that are uploaded.
 pub(crate) const TRAINING: [&str; 4] = ["--max-size", "240", "--steps", "1000"];
 
-/// Of the whole workspace, as [`build`] does: no dependency is compiled twice for two sets of features.
+/// A bench, compiled with the features of the whole workspace, as [`build`] compiles the programs: nothing is compiled twice.
 fn cargo_bench(bench: &str, words: &[&str]) -> Command {
     let mut command = Command::new("cargo");
     command.args(["bench", "--locked", "--workspace", "--bench", bench, "--"]).args(words);
@@ -41,7 +41,7 @@ pub(crate) fn crowd(folder: &TempDir) -> Result<Results> {
     build()?;
     let mut command = Command::new("cargo");
     command
-        .args(["test", "--release", "--locked", "-p", "cosurf-tests", "--test", "crowd", "--", "--ignored"])
+        .args(["test", "--release", "--locked", "--workspace", "--test", "crowd", "--", "--ignored"])
         .current_dir(machine::root())
         .stdin(Stdio::null());
     read_after(&mut command, "crowd", folder)

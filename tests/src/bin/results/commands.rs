@@ -22,7 +22,7 @@ pub(crate) fn dataset(name: &str) -> Result<PathBuf> {
 
 /// Builds both programs.
 pub(crate) fn build() -> Result<()> {
-    // With any bench beside them, dependencies get the features that benches need, so a bench does not compile them again.
+    // Together with a bench, so that dependencies have the features that benches need and are not compiled again for them.
     let programs = ["build", "--release", "--locked", "--workspace", "--bins", "--bench", "lines"];
     succeed(Command::new("cargo").args(programs).current_dir(machine::root()))
 }
