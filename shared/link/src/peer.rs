@@ -6,7 +6,7 @@ use cosurf_wire::{ChunkStatus, DeviceId, RefusalReason, Want};
 
 use crate::bits::BitSet;
 use crate::pacing::{
-    ASKED_AGAIN, CHUNKS_PER_CONNECTION, REORDER, REPEATED_WANT, RESEND_ALL, SAME_CONNECTION,
+    ASKED_AGAIN, CHUNKS_PER_CONNECTION, OFFER_KNOWN, REORDER, REPEATED_WANT, RESEND_ALL, SAME_CONNECTION,
     WINDOW_BYTES_MAX, WINDOW_BYTES_MIN, WINDOW_FAST, WINDOW_FIRST, WINDOW_MAX, WINDOW_MIN, WINDOW_SLOW,
 };
 
@@ -51,6 +51,8 @@ pub(crate) struct Peer {
     /// Chunks that may be sent again to this receiver, and the time of that number.
     resends: (u32, Duration),
     resends_max: u32,
+    /// When the receiver last asked for chunks.
+    asked_at: Option<Duration>,
     /// When the receiver is next believed that it has lost the model which it had stored.
     may_lose_at: Duration,
 }
@@ -103,6 +105,7 @@ impl Peer {
             repeat_at: Duration::ZERO,
             resends: (resends_max, Duration::ZERO),
             resends_max,
+            asked_at: None,
             may_lose_at: Duration::ZERO,
         }
     }
@@ -224,8 +227,8 @@ impl Peer {
     }
 
     /// Notes that sender and receiver are connected again. Returns whether chunks should be smaller: hardly one has got
-    /// through twice in a row.
-    pub(crate) fn on_connected(&mut self, now: Duration, chunks: u32) -> bool {
+    /// through twice in a row. Once a chunk has arrived, a receiver takes smaller ones only if their sender signs.
+    pub(crate) fn on_connected(&mut self, now: Duration, chunks: u32, signs: bool) -> bool {
         // A broker may repeat what it was told of a connection.
         let last = self.connected_at.replace(now);
         if last.is_some_and(|last| now < last + SAME_CONNECTION) {
@@ -239,7 +242,7 @@ impl Peer {
         // may hold chunks that were sent long ago.
         let is_trying = self.sends > sends_before || !self.in_flight.is_empty();
         self.poor = if few && is_trying { self.poor + 1 } else { 0 };
-        self.poor >= 2
+        self.poor >= 2 && (signs || received == 0)
     }
 
     /// Notes that the connection was lost, and is back. What was in flight counts as lost when the receiver next tells what
@@ -266,8 +269,13 @@ impl Peer {
         }
     }
 
+    /// Whether the receiver is fetching the model, and has asked for chunks just before.
+    pub(crate) fn knows_offer(&self, now: Duration) -> bool {
+        self.phase == PeerPhase::Fetching && self.asked_at.is_some_and(|at| now < at + OFFER_KNOWN)
+    }
+
     fn take_want(&mut self, now: Duration, chunks: u32, want: &Want) {
-        self.phase = PeerPhase::Fetching;
+        (self.phase, self.asked_at) = (PeerPhase::Fetching, Some(now));
         self.learn(now, want);
         let cut_at = self.cut_at.take();
         let status_of = |index| want.missing.status_of(index);

@@ -109,6 +109,7 @@ pub struct Uploader {
     offer: Offer,
     peers: Vec<Peer>,
     peers_max: usize,
+    signs: bool,
     is_full_told: bool,
     announce_at: Option<Duration>,
     announced_at: Option<Duration>,
@@ -160,6 +161,7 @@ impl Uploader {
             offer,
             peers: receivers.iter().map(peer).collect(),
             peers_max: DEVICES_MAX,
+            signs: true,
             is_full_told: false,
             announce_at: Some(Duration::ZERO),
             announced_at: None,
@@ -181,6 +183,13 @@ impl Uploader {
     /// Sets the limit on receivers. The required receivers count, but are not limited.
     pub fn with_peers_max(mut self, peers_max: usize) -> Self {
         self.peers_max = peers_max;
+        self
+    }
+
+    /// Tells that this participant does not sign its messages. From it, receivers take smaller chunks only while none has
+    /// arrived.
+    pub fn unsigned(mut self) -> Self {
+        self.signs = false;
         self
     }
 
@@ -253,9 +262,10 @@ impl Uploader {
 
     /// Notes a new connection between sender and receiver. Makes chunks smaller if their line is poor.
     fn shrink_on_poor_line(&mut self, now: Duration, receiver: DeviceId) {
-        let chunks = self.offer.header.chunks();
+        let (chunks, signs) = (self.offer.header.chunks(), self.signs);
         let mut open = self.peers.iter_mut().filter(|peer| !peer.is_closed());
-        if open.find(|peer| peer.device == receiver).is_some_and(|peer| peer.on_connected(now, chunks)) {
+        if open.find(|peer| peer.device == receiver).is_some_and(|peer| peer.on_connected(now, chunks, signs))
+        {
             self.set_chunk_bytes(now, (self.offer.header.chunk_bytes / SHRINK).max(CHUNK_BYTES_MIN));
         }
     }
@@ -270,7 +280,9 @@ impl Uploader {
     /// become smaller.
     pub fn on_birth(&mut self, now: Duration, device: DeviceId) {
         if self.tile().is_some() || self.device() == Some(device) {
-            self.announce_soon(now);
+            if !self.peers.iter().any(|peer| peer.device == device && peer.knows_offer(now)) {
+                self.announce_soon(now);
+            }
             self.shrink_on_poor_line(now, device);
         }
     }

@@ -243,6 +243,45 @@ fn smaller_chunks_are_taken_at_once_while_none_has_arrived() {
     assert_eq!(want.missing.status_of(0), cosurf_wire::ChunkStatus::Received, "the small chunk has arrived");
 }
 
+/// Unsigned, a receiver to which a chunk has come would not take smaller ones, and those would be sent in vain.
+#[test]
+fn chunks_of_a_sender_that_does_not_sign_keep_their_size_once_one_has_arrived() {
+    let (mut uploader, mut inbox) = (Uploader::local(drone().site, model(20)).unsigned(), inbox());
+    deliver(&mut inbox, S, &uploader.next(S).unwrap());
+    answer(&mut inbox, &mut uploader, S);
+    let chunks: Vec<Outgoing> = std::iter::from_fn(|| uploader.next(S)).collect();
+    assert_eq!(deliver(&mut inbox, S, &chunks[2]), None);
+    for at in [4 * S, 7 * S, 10 * S, 13 * S] {
+        answer(&mut inbox, &mut uploader, at);
+        uploader.on_connected(at);
+        let offered = uploader.next(at).unwrap();
+        assert!(
+            matches!(Message::decode(&offered.payload), Ok(Message::Header(header)) if header.chunk_bytes == 8192)
+        );
+        deliver(&mut inbox, at, &offered);
+        answer(&mut inbox, &mut uploader, at);
+        while uploader.next(at).is_some() {}
+    }
+}
+
+/// On a line that breaks each second, the offer would take a share of what it carries.
+#[test]
+fn a_drone_that_has_just_asked_for_chunks_is_not_told_of_the_global_model_again() {
+    let (site, device) = (drone().site, drone().device);
+    let model = offer("ground", 1, ModelKind::Global, 1, 20 * 640, 8192);
+    let mut uploader = Uploader::global(site, TileId::WHOLE, model, &[device]);
+    let mut inbox = Inbox::new(Identity { role: Role::Device, ..drone() }, InboxLimits::default(), &[]);
+    deliver(&mut inbox, S, &uploader.next(S).unwrap());
+    answer(&mut inbox, &mut uploader, S);
+    while uploader.next(S).is_some() {}
+    uploader.on_birth(2 * S, DeviceId::new("other").unwrap());
+    let offered = uploader.next(2 * S).expect("another drone may not know it");
+    assert!(matches!(Message::decode(&offered.payload), Ok(Message::Header(_))));
+    answer(&mut inbox, &mut uploader, 2 * S);
+    uploader.on_birth(3 * S, device);
+    assert_eq!(uploader.next(3 * S), None);
+}
+
 #[test]
 fn a_good_connection_keeps_its_chunks() {
     let (mut uploader, mut inbox) = (Uploader::local(drone().site, model(20)), inbox());

@@ -182,6 +182,34 @@ fn a_client_with_a_session_publishes_before_its_subscriptions_are_granted_again(
     }
 }
 
+/// On a line that breaks each second, the same subscriptions would take a share of what it carries.
+#[test]
+fn a_client_that_is_soon_back_in_its_session_does_not_subscribe_again() {
+    let listener = TcpListener::bind("127.0.0.1:0").unwrap();
+    let address = BrokerAddress::plain("127.0.0.1", listener.local_addr().unwrap().port());
+    let (site, device) = (SiteId::new("site").unwrap(), DeviceId::new("drone").unwrap());
+    let identity = Identity { site, device, session: 1, role: Role::Device };
+    let config = MqttConfig { broker: address, identity, will: None, tls: None, login: None };
+    let mut transport = MqttTransport::start(config);
+    let mut published = 0;
+    // Twice in its session, once in another one.
+    for (has_session, subscribes) in [(0, true), (1, false), (1, false), (0, true)] {
+        let (mut stream, _) = listener.accept().unwrap();
+        assert_eq!(read_packet(&mut stream).unwrap().0 >> 4, 1);
+        stream.write_all(&[0x20, 3, has_session, 0, 0]).unwrap();
+        if subscribes {
+            let (kind, body) = read_packet(&mut stream).unwrap();
+            assert_eq!(kind >> 4, 8);
+            stream.write_all(&[0x90, 5, body[0], body[1], 0, 1, 1]).unwrap();
+        }
+        while transport.poll(Duration::from_secs(20)).expect("no connection") != TransportEvent::Connected {}
+        published += 1;
+        let topic = Topic::State { device }.to_text(&site);
+        transport.publish(&Outgoing { topic, payload: vec![published], retain: false }).unwrap();
+        assert_eq!(read_packet(&mut stream).unwrap().0 >> 4, 3, "a message, and no subscription before it");
+    }
+}
+
 /// Serves each connection up to the grant of its subscriptions, and ends it after `life`. Returns the number of connections
 /// within `time`, and what the client tells.
 fn connections_that_end_after(life: Duration, time: Duration) -> (u32, Vec<TransportEvent>) {

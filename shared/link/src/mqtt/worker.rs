@@ -21,7 +21,7 @@ use crate::pacing::Backoff;
 use crate::transport::is_want;
 
 /// Delays between attempts to connect.
-const RECONNECT: Backoff = Backoff::new(Duration::from_millis(50), Duration::from_secs(5));
+const RECONNECT: Backoff = Backoff::new(Duration::from_millis(10), Duration::from_secs(5));
 /// The oldest message must be acknowledged within this time and [`SLOWEST_LINE`].
 const ACKNOWLEDGEMENT_TIMEOUT: Duration = Duration::from_secs(if cfg!(test) { 1 } else { 30 });
 /// The slowest line on which messages are still waited for, bytes per second.
@@ -38,6 +38,9 @@ const BROKEN_AT_ONCE: u32 = 3;
 /// After so many connections that broke within the first message, the client asks the broker to drop what it has kept: a
 /// message that the line cannot carry would keep back all that follow.
 const FRUITLESS_MAX: u32 = 2;
+/// A broker that has kept the session has its subscriptions too, and need not be asked for them again so soon after the last
+/// connection. Later it may have dropped messages of the session, of which subscribing brings back those that it retains.
+const SUBSCRIPTIONS_KEPT: Duration = Duration::from_secs(10);
 /// Interval at which timeouts and a request to stop are checked.
 const TICK: Duration = Duration::from_millis(50);
 /// How long the client sends queued messages before it stops.
@@ -64,6 +67,8 @@ pub(super) struct Worker {
     is_dropping: bool,
     /// Number of the last connections that broke within a message before any message had arrived whole.
     fruitless: u32,
+    /// When the last connection ended whose subscriptions were granted.
+    subscribed: Option<Instant>,
     /// The kinds of messages that the broker has not taken on this connection.
     denied: BTreeSet<String>,
     stopping_since: Option<Instant>,
@@ -83,6 +88,8 @@ struct Line {
     is_fruitful: bool,
     /// Whether the broker serves the client: it has granted the subscriptions, or sent a message before.
     is_served: bool,
+    /// Whether the subscriptions are granted.
+    is_subscribed: bool,
     opened: Instant,
     /// Interval in which at least one packet is sent.
     keep_alive: Duration,
@@ -111,6 +118,7 @@ impl Worker {
             pause: Duration::ZERO,
             is_dropping: false,
             fruitless: 0,
+            subscribed: None,
             denied: BTreeSet::new(),
             stopping_since: None,
         }
@@ -162,6 +170,7 @@ impl Worker {
             true => self.fruitless = 0,
             false => self.fruitless += u32::from(served.is_err() && line.connection.is_within_packet()),
         }
+        self.subscribed = line.is_subscribed.then(Instant::now);
         self.judge(&line);
         served
     }
@@ -220,18 +229,20 @@ impl Worker {
         self.shared
             .packet_bytes_max
             .store(limit.map_or(usize::MAX, |bytes| bytes as usize), Ordering::Relaxed);
-        let filters = &self.settings.filters;
-        if !filters.is_empty() {
+        let is_kept = self.subscribed.is_some_and(|ended| ended.elapsed() < SUBSCRIPTIONS_KEPT);
+        let has_subscriptions = self.settings.filters.is_empty() || (ack.session_present && is_kept);
+        if !has_subscriptions {
             connection.queue(&self.settings.subscription());
         }
         let keep_alive_s = said.and_then(|said| said.server_keep_alive).unwrap_or(KEEP_ALIVE_S);
         Line {
             connection,
-            is_ready: filters.is_empty() || ack.session_present,
+            is_ready: has_subscriptions || ack.session_present,
             has_session: ack.session_present,
             is_caught_up: !ack.session_present,
             is_fruitful: false,
-            is_served: filters.is_empty(),
+            is_served: has_subscriptions,
+            is_subscribed: has_subscriptions,
             opened: Instant::now(),
             keep_alive: Duration::from_secs(keep_alive_s.max(1).into()),
             pinged: None,
@@ -256,7 +267,7 @@ impl Worker {
         match packet {
             Packet::SubAck(ack) if !is_granted(&ack) => return Err(Fault::Subscriptions),
             Packet::SubAck(_) => {
-                line.is_served = true;
+                (line.is_served, line.is_subscribed) = (true, true);
                 if !line.is_ready {
                     self.on_ready(line).await;
                 }

@@ -185,7 +185,7 @@ impl Node {
         let offer = offer.in_frame(self.inbox.credentials().frame);
         let uploader = Uploader::local(self.identity.site, offer);
         self.uploaders.retain(|old| old.key() != uploader.key() && !old.is_kept());
-        self.uploaders.push(uploader);
+        self.add_uploader(uploader);
     }
 
     /// Offers a device's own model under another number, after the aggregator has refused it because it has one under this
@@ -206,14 +206,19 @@ impl Node {
         self.uploaders.retain(|old| old.tile() != Some(tile));
         let offer = offer.in_frame(self.inbox.credentials().frame);
         let uploader = Uploader::global(self.identity.site, tile, offer, receivers);
-        self.uploaders.push(uploader.with_peers_max(self.devices_max));
+        self.add_uploader(uploader.with_peers_max(self.devices_max));
     }
 
     /// Offers a tile of the global model to one device. [`NodeEvent::Uploaded`] follows when the device has stored it.
     pub fn send_tile(&mut self, device: DeviceId, offer: Offer) {
         debug!(model = %ModelKey::from(offer.header), %device, "send a tile");
         let offer = offer.in_frame(self.inbox.credentials().frame);
-        self.uploaders.push(Uploader::tile_for(self.identity.site, device, offer));
+        self.add_uploader(Uploader::tile_for(self.identity.site, device, offer));
+    }
+
+    fn add_uploader(&mut self, uploader: Uploader) {
+        let signs = self.inbox.credentials().key.is_some();
+        self.uploaders.push(if signs { uploader } else { uploader.unsigned() });
     }
 
     /// Whether a tile is being sent to a device.
