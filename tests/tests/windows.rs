@@ -24,6 +24,10 @@ const AGENT: &str = "cosurf-agent";
 const AGGREGATOR: &str = "cosurf-aggregator";
 /// Memory of each agent. Wine itself takes 45 MiB of it: it reads programs whole.
 const MEMORY: &str = "100MiB";
+/// What a program ends with under `script` if Wine itself crashes. If a thread is just ending when the program ends, Wine 8 stops
+/// that thread by a signal, whose handler needs what the thread has already given back: seen in the memory of a crash, once in a
+/// hundred ends of a service.
+const CRASH_OF_WINE: i32 = 128 + 11;
 const MISSION: [&str; 9] =
     ["mission", "--data", "data", "--agents", "2", "--steps", "60", "--memory", MEMORY];
 
@@ -160,6 +164,18 @@ fn press_ctrl_c(program: &mut Child) -> ExitStatus {
     }
 }
 
+/// Starts the ground station in a terminal, and waits for its page.
+fn service_with_page(wine: &Wine, address: &str) -> Child {
+    let mut service = wine.type_to(AGGREGATOR, &format!("run --config aggregator.toml --http {address}"));
+    let begun = Instant::now();
+    while get(address, "/healthz").is_none() {
+        let log = fs::read_to_string(wine.folder().join("typed.log")).unwrap_or_default();
+        assert!(begun.elapsed() < PATIENCE && service.try_wait().unwrap().is_none(), "no page: {log}");
+        sleep(LOOK_EVERY);
+    }
+    service
+}
+
 /// A ground station with its built-in broker and its page, and a drone that sends a model.
 fn a_service_shows_the_model_of_an_agent_and_ends_with_ctrl_c(wine: &Wine) {
     // Both are bound before one is free again.
@@ -179,13 +195,8 @@ fn a_service_shows_the_model_of_an_agent_and_ends_with_ctrl_c(wine: &Wine) {
              steps = 60\nwait_global = true\n"
         ),
     );
-    let mut service = wine.type_to(AGGREGATOR, &format!("run --config aggregator.toml --http {address}"));
     let log = || fs::read_to_string(wine.folder().join("typed.log")).unwrap_or_default();
-    let begun = Instant::now();
-    while get(&address, "/healthz").is_none() {
-        assert!(begun.elapsed() < PATIENCE && service.try_wait().unwrap().is_none(), "no page: {}", log());
-        sleep(LOOK_EVERY);
-    }
+    let mut service = service_with_page(wine, &address);
     let mut agent = wine.command(AGENT, &["run", "--config", "agent.toml"]);
     let agent = agent.stderr(Stdio::piped()).output().unwrap();
     assert!(agent.status.success(), "{}", String::from_utf8_lossy(&agent.stderr));
@@ -199,7 +210,12 @@ fn a_service_shows_the_model_of_an_agent_and_ends_with_ctrl_c(wine: &Wine) {
     );
     let scene = get(&address, "/scene.json").unwrap();
     assert!(scene.starts_with("HTTP/1.1 200") && scene.contains("\"splats\":"), "{scene}");
-    assert!(press_ctrl_c(&mut service).success(), "{}", log());
+    let mut ended = press_ctrl_c(&mut service);
+    if ended.code() == Some(CRASH_OF_WINE) {
+        println!("Wine has crashed; the service is started and ended once more");
+        ended = press_ctrl_c(&mut service_with_page(wine, &address));
+    }
+    assert!(ended.success(), "{}", log());
     assert!(get(&address, "/healthz").is_none(), "the page has ended");
     assert!(wine.processes("cosurf-aggregator.exe").is_empty());
     assert!(wine.folder().join("service/merged.json").is_file(), "{}", log());
