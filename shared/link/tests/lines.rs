@@ -345,6 +345,41 @@ fn control_messages_do_not_wait_behind_chunks() {
     assert!(Sealed::decode(&link.sent[0].payload).is_ok());
 }
 
+/// At its next connection, the sender judges by this whether its chunks get through.
+#[test]
+fn a_receiver_that_is_connected_again_tells_at_once_what_has_arrived() {
+    let mut node = Node::new(drone(), InboxLimits::default(), &[]);
+    let mut link = Congested { events: Vec::new(), sent: Vec::new() };
+    let model = offer("ground", 1, ModelKind::Global, 1, 20 * 640, 8192);
+    let mut uploader = Uploader::global(drone().site, TileId::WHOLE, model.clone(), &[drone().device]);
+    let incoming = |message: &Outgoing| TransportEvent::Incoming {
+        topic: message.topic.as_str().to_owned(),
+        payload: message.payload.clone(),
+    };
+    let header = uploader.next(S).unwrap();
+    let want = Want {
+        device: model.header.device,
+        model: model.header.model,
+        session: 1,
+        idle: false,
+        missing: cosurf_wire::Missing::all(),
+    };
+    let topic = Topic::GlobalReply { device: drone().device, reply: cosurf_wire::Reply::Want };
+    uploader.on_reply(S, &topic, &Message::Want(want));
+    let chunk = uploader.next(S).unwrap();
+    let mut wants_after = |event: TransportEvent, at: Duration| {
+        link.events.push(event);
+        (0..4).for_each(|_| drop(node.step(&mut link, || at, Duration::ZERO)));
+        let sent = std::mem::take(&mut link.sent);
+        sent.iter().filter(|message| message.topic.as_str().ends_with("/want")).count()
+    };
+    assert_eq!(wants_after(TransportEvent::Connected, S), 0);
+    assert_eq!(wants_after(incoming(&header), S), 1);
+    assert_eq!(wants_after(TransportEvent::Connected, S + S / 10), 0, "nothing is new");
+    assert_eq!(wants_after(incoming(&chunk), S + S / 5), 0, "more chunks may follow");
+    assert_eq!(wants_after(TransportEvent::Connected, S + S / 2), 1);
+}
+
 /// The same for a global model: each connection of the drone begins with its birth.
 #[test]
 fn chunks_of_a_global_model_become_smaller_for_a_drone_that_few_reach() {
