@@ -24,7 +24,7 @@ use sizes::check_sizes;
 
 /// The rules by which a task is distilled. Another number must be written here with every change that gives other
 /// results, so that no merge takes results of another version for its own.
-const RULES: &str = "cosurf tile 3";
+const RULES: &str = "cosurf tile 4";
 /// A task in a store begins with the length of its contents, in so many bytes. The contents and the numbers follow.
 const HEAD: usize = size_of::<u32>();
 /// Tasks are written to a store and read in parts of this size, bytes. A bucket takes no smaller parts than 5 MiB.
