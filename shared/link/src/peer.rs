@@ -6,8 +6,9 @@ use cosurf_wire::{ChunkStatus, DeviceId, RefusalReason, Want};
 
 use crate::bits::BitSet;
 use crate::pacing::{
-    ASKED_AGAIN, CHUNKS_PER_CONNECTION, OFFER_KNOWN, REORDER, REPEATED_WANT, RESEND_ALL, SAME_CONNECTION,
-    WINDOW_BYTES_MAX, WINDOW_BYTES_MIN, WINDOW_FAST, WINDOW_FIRST, WINDOW_MAX, WINDOW_MIN, WINDOW_SLOW,
+    ASKED_AGAIN, CHUNKS_PER_CONNECTION, OFFER_KNOWN, REORDER, REPEATED_WANT, REPLACEABLE, RESEND_ALL,
+    SAME_CONNECTION, WINDOW_BYTES_MAX, WINDOW_BYTES_MIN, WINDOW_FAST, WINDOW_FIRST, WINDOW_MAX, WINDOW_MIN,
+    WINDOW_SLOW,
 };
 
 /// Resends that each chunk earns that a receiver has for the first time. On a line that loses half of its messages, a
@@ -51,6 +52,8 @@ pub(crate) struct Peer {
     /// Chunks that may be sent again to this receiver, and the time of that number.
     resends: (u32, Duration),
     resends_max: u32,
+    /// When the receiver was last known to have got a chunk.
+    gained_at: Duration,
     /// When the receiver last asked for chunks.
     asked_at: Option<Duration>,
     /// When the receiver is next believed that it has lost the model which it had stored.
@@ -105,6 +108,7 @@ impl Peer {
             repeat_at: Duration::ZERO,
             resends: (resends_max, Duration::ZERO),
             resends_max,
+            gained_at: Duration::ZERO,
             asked_at: None,
             may_lose_at: Duration::ZERO,
         }
@@ -133,7 +137,11 @@ impl Peer {
     pub(crate) fn with_chunks(&self, chunks: u32, chunk_bytes: u32, before_bytes: u32) -> Self {
         let known = u64::from(self.chunks_known) * u64::from(before_bytes) / u64::from(chunk_bytes.max(1));
         let chunks_known = u32::try_from(known).unwrap_or(chunks).min(chunks);
-        Self { chunks_known, ..Self::new(self.device, chunks, chunk_bytes, self.is_required) }
+        Self {
+            chunks_known,
+            gained_at: self.gained_at,
+            ..Self::new(self.device, chunks, chunk_bytes, self.is_required)
+        }
     }
 
     /// Whether the receiver has stored the model, or refused it for good.
@@ -219,6 +227,9 @@ impl Peer {
             }
             self.repeat_at = now + REPEATED_WANT;
         }
+        if new > 0 {
+            self.gained_at = now;
+        }
         self.chunks_had += new;
         self.earn_resends(now);
         self.resends.0 = self.resends.0.saturating_add(new * RESENDS_EARNED).min(self.resends_max);
@@ -227,7 +238,8 @@ impl Peer {
     }
 
     /// Notes that sender and receiver are connected again. Returns whether chunks should be smaller: hardly one has got
-    /// through twice in a row. Once a chunk has arrived, a receiver takes smaller ones only if their sender signs.
+    /// through twice in a row. Once a chunk has arrived, a receiver takes smaller ones only if their sender signs, or if no
+    /// other has arrived for [`REPLACEABLE`].
     pub(crate) fn on_connected(&mut self, now: Duration, chunks: u32, signs: bool) -> bool {
         // A broker may repeat what it was told of a connection.
         let last = self.connected_at.replace(now);
@@ -242,7 +254,8 @@ impl Peer {
         // may hold chunks that were sent long ago.
         let is_trying = self.sends > sends_before || !self.in_flight.is_empty();
         self.poor = if few && is_trying { self.poor + 1 } else { 0 };
-        self.poor >= 2 && (signs || received == 0)
+        let is_taken = signs || received == 0 || now >= self.gained_at + REPLACEABLE;
+        self.poor >= 2 && is_taken
     }
 
     /// Notes that the connection was lost, and is back. What was in flight counts as lost when the receiver next tells what

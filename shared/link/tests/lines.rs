@@ -243,7 +243,7 @@ fn smaller_chunks_are_taken_at_once_while_none_has_arrived() {
     assert_eq!(want.missing.status_of(0), cosurf_wire::ChunkStatus::Received, "the small chunk has arrived");
 }
 
-/// Unsigned, a receiver to which a chunk has come would not take smaller ones, and those would be sent in vain.
+/// Unsigned, a receiver to which a chunk has come takes smaller ones only after a while, and those would be sent in vain.
 #[test]
 fn chunks_of_a_sender_that_does_not_sign_keep_their_size_once_one_has_arrived() {
     let (mut uploader, mut inbox) = (Uploader::local(drone().site, model(20)).unsigned(), inbox());
@@ -262,6 +262,20 @@ fn chunks_of_a_sender_that_does_not_sign_keep_their_size_once_one_has_arrived() 
         answer(&mut inbox, &mut uploader, at);
         while uploader.next(at).is_some() {}
     }
+    // Ten seconds after the only chunk was told, they are taken.
+    let at = 16 * S;
+    uploader.on_connected(at);
+    let offered = uploader.next(at).unwrap();
+    assert!(
+        matches!(Message::decode(&offered.payload), Ok(Message::Header(header)) if header.chunk_bytes == 2048)
+    );
+    deliver(&mut inbox, at, &offered);
+    answer(&mut inbox, &mut uploader, at);
+    let chunk = uploader.next(at).unwrap();
+    deliver(&mut inbox, at, &chunk);
+    let want = answer(&mut inbox, &mut uploader, 60 * S).unwrap();
+    let count = (0..80).filter(|i| want.missing.status_of(*i) == cosurf_wire::ChunkStatus::Received).count();
+    assert_eq!(count, 5, "the large one, and a small one");
 }
 
 /// On a line that breaks each second, the offer would take a share of what it carries.

@@ -38,9 +38,10 @@ const BROKEN_AT_ONCE: u32 = 3;
 /// After so many connections that broke within the first message, the client asks the broker to drop what it has kept: a
 /// message that the line cannot carry would keep back all that follow.
 const FRUITLESS_MAX: u32 = 2;
-/// A broker that has kept the session has its subscriptions too, and need not be asked for them again so soon after the last
-/// connection. Later it may have dropped messages of the session, of which subscribing brings back those that it retains.
-const SUBSCRIPTIONS_KEPT: Duration = Duration::from_secs(10);
+/// A broker that has kept the session has its subscriptions too, and need not be asked for them again so soon after it has
+/// granted them. After this time it is asked again, if the connection is another one: it may have dropped messages of the
+/// session, of which subscribing brings back those that it retains, or it may have been restarted with an older session.
+const SUBSCRIPTIONS_KEPT: Duration = Duration::from_secs(if cfg!(test) { 1 } else { 10 });
 /// Interval at which timeouts and a request to stop are checked.
 const TICK: Duration = Duration::from_millis(50);
 /// How long the client sends queued messages before it stops.
@@ -67,8 +68,8 @@ pub(super) struct Worker {
     is_dropping: bool,
     /// Number of the last connections that broke within a message before any message had arrived whole.
     fruitless: u32,
-    /// When the last connection ended whose subscriptions were granted.
-    subscribed: Option<Instant>,
+    /// When the subscriptions were last granted.
+    granted: Option<Instant>,
     /// The kinds of messages that the broker has not taken on this connection.
     denied: BTreeSet<String>,
     stopping_since: Option<Instant>,
@@ -88,8 +89,8 @@ struct Line {
     is_fruitful: bool,
     /// Whether the broker serves the client: it has granted the subscriptions, or sent a message before.
     is_served: bool,
-    /// Whether the subscriptions are granted.
-    is_subscribed: bool,
+    /// Whether the client has subscribed on this connection, or has nothing to subscribe to.
+    has_asked: bool,
     opened: Instant,
     /// Interval in which at least one packet is sent.
     keep_alive: Duration,
@@ -118,7 +119,7 @@ impl Worker {
             pause: Duration::ZERO,
             is_dropping: false,
             fruitless: 0,
-            subscribed: None,
+            granted: None,
             denied: BTreeSet::new(),
             stopping_since: None,
         }
@@ -170,7 +171,6 @@ impl Worker {
             true => self.fruitless = 0,
             false => self.fruitless += u32::from(served.is_err() && line.connection.is_within_packet()),
         }
-        self.subscribed = line.is_subscribed.then(Instant::now);
         self.judge(&line);
         served
     }
@@ -229,8 +229,8 @@ impl Worker {
         self.shared
             .packet_bytes_max
             .store(limit.map_or(usize::MAX, |bytes| bytes as usize), Ordering::Relaxed);
-        let is_kept = self.subscribed.is_some_and(|ended| ended.elapsed() < SUBSCRIPTIONS_KEPT);
-        let has_subscriptions = self.settings.filters.is_empty() || (ack.session_present && is_kept);
+        let has_none = self.settings.filters.is_empty();
+        let has_subscriptions = has_none || (ack.session_present && self.are_subscriptions_kept());
         if !has_subscriptions {
             connection.queue(&self.settings.subscription());
         }
@@ -242,7 +242,7 @@ impl Worker {
             is_caught_up: !ack.session_present,
             is_fruitful: false,
             is_served: has_subscriptions,
-            is_subscribed: has_subscriptions,
+            has_asked: has_none || !has_subscriptions,
             opened: Instant::now(),
             keep_alive: Duration::from_secs(keep_alive_s.max(1).into()),
             pinged: None,
@@ -267,7 +267,8 @@ impl Worker {
         match packet {
             Packet::SubAck(ack) if !is_granted(&ack) => return Err(Fault::Subscriptions),
             Packet::SubAck(_) => {
-                (line.is_served, line.is_subscribed) = (true, true);
+                line.is_served = true;
+                self.granted = Some(Instant::now());
                 if !line.is_ready {
                     self.on_ready(line).await;
                 }
@@ -331,8 +332,17 @@ impl Worker {
         }
     }
 
-    /// Pings, and checks that the broker answers.
+    /// Whether the broker has granted the subscriptions just before.
+    fn are_subscriptions_kept(&self) -> bool {
+        self.granted.is_some_and(|at| at.elapsed() < SUBSCRIPTIONS_KEPT)
+    }
+
+    /// Subscribes again if it is time, pings, and checks that the broker answers.
     fn watch(&self, line: &mut Line) -> Result<(), Fault> {
+        if !line.has_asked && !self.are_subscriptions_kept() {
+            line.connection.queue(&self.settings.subscription());
+            line.has_asked = true;
+        }
         let Line { connection, keep_alive, pinged, .. } = line;
         if pinged.is_some_and(|at| connection.heard > at) {
             *pinged = None;
