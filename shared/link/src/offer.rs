@@ -18,7 +18,7 @@ pub struct Offer {
 }
 
 /// Chunks of small bodies, bytes: what slow lines carry. Each break of a line loses half a chunk. A line of 5 kB/s that breaks
-/// every second carries 1.3 to 1.4 times the body, with chunks of 2 KiB 1.4 to 2.0 times. Without breaks, a tenth of what it
+/// every second carries 1.3 to 1.5 times the body, with chunks of 2 KiB 1.4 to 2.0 times. Without breaks, a tenth of what it
 /// carries are topics and headers.
 const CHUNK_BYTES_SMALL: usize = 512;
 /// Chunks of bodies of medium size, bytes. A line that carries such bodies is fast. Far away brokers acknowledge few
