@@ -34,7 +34,7 @@ pub(crate) const CHUNKS_PER_CONNECTION: u32 = 2;
 pub(crate) const SAME_CONNECTION: Duration = Duration::from_millis(500);
 /// How many times smaller.
 pub(crate) const SHRINK: u32 = 4;
-/// A receiver that has asked for chunks so long ago knows the offer, also if it has been connected anew since.
+/// A receiver that asked for chunks within this time knows the offer, even if it has been connected anew since.
 pub(crate) const OFFER_KNOWN: Duration = Duration::from_secs(5);
 
 /// A chunk counts as lost once a chunk that was sent more than this many places later has arrived. The margin

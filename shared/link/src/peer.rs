@@ -226,8 +226,7 @@ impl Peer {
                 return false;
             }
             self.repeat_at = now + REPEATED_WANT;
-        }
-        if new > 0 {
+        } else {
             self.gained_at = now;
         }
         self.chunks_had += new;

@@ -227,8 +227,8 @@ impl Transfer {
 
     /// Notes a new connection. The chunks that a broker has kept for this receiver come now. If the receiver asked for them at
     /// once, they would come twice, so its wait begins anew. Only the first connection after a chunk has this effect: if every
-    /// one had, and each broke within a second, the receiver would never ask for lost chunks. What has arrived is told at once:
-    /// by the next connection, the sender must know whether the line is too poor for its chunks.
+    /// one had, and each broke within a second, the receiver would never ask for lost chunks. What has arrived is told at once,
+    /// because at the next connection the sender decides whether its chunks are too large for the line.
     pub(crate) fn on_connected(&mut self, now: Duration) {
         if !self.is_connected_since {
             (self.last_heard, self.is_connected_since) = (now, true);

@@ -186,8 +186,8 @@ impl Uploader {
         self
     }
 
-    /// Tells that this participant does not sign its messages. From it, receivers take smaller chunks only while none has
-    /// arrived.
+    /// Tells that this participant does not sign its messages. Receivers that have a chunk of such a model refuse smaller ones
+    /// until no chunk has arrived for a while.
     pub fn unsigned(mut self) -> Self {
         self.signs = false;
         self

@@ -40,6 +40,14 @@ fn deliver(inbox: &mut Inbox, now: Duration, message: &Outgoing) -> Option<Inbox
     }
 }
 
+/// The size of the chunks that an offer tells.
+fn offered_chunk_bytes(offer: &Outgoing) -> u32 {
+    match Message::decode(&offer.payload) {
+        Ok(Message::Header(header)) => header.chunk_bytes,
+        other => panic!("{other:?}"),
+    }
+}
+
 /// Gives the uploader the requests that are due.
 fn answer(inbox: &mut Inbox, uploader: &mut Uploader, now: Duration) -> Option<Want> {
     let mut last = None;
@@ -192,10 +200,7 @@ fn chunks_become_smaller_where_few_pass_and_what_has_arrived_is_kept() {
         }
     }
     let header = uploader.next(13 * S).unwrap();
-    let Message::Header(ModelHeader { chunk_bytes, .. }) = Message::decode(&header.payload).unwrap() else {
-        panic!("no header")
-    };
-    assert_eq!(chunk_bytes, 2048);
+    assert_eq!(offered_chunk_bytes(&header), 2048);
     deliver(&mut inbox, 13 * S, &header);
     let want = answer(&mut inbox, &mut uploader, 13 * S).unwrap();
     let has = |index| want.missing.status_of(index) == cosurf_wire::ChunkStatus::Received;
@@ -232,9 +237,7 @@ fn smaller_chunks_are_taken_at_once_while_none_has_arrived() {
     }
     let header = uploader.next(7 * S).unwrap();
     deliver(&mut inbox, 7 * S, &header);
-    let Message::Header(ModelHeader { chunk_bytes, .. }) = Message::decode(&header.payload).unwrap() else {
-        panic!("no header")
-    };
+    let chunk_bytes = offered_chunk_bytes(&header);
     assert!(chunk_bytes < 8192, "{chunk_bytes}");
     answer(&mut inbox, &mut uploader, 7 * S);
     let chunk = uploader.next(7 * S).unwrap();
@@ -243,7 +246,8 @@ fn smaller_chunks_are_taken_at_once_while_none_has_arrived() {
     assert_eq!(want.missing.status_of(0), cosurf_wire::ChunkStatus::Received, "the small chunk has arrived");
 }
 
-/// Unsigned, a receiver to which a chunk has come takes smaller ones only after a while, and those would be sent in vain.
+/// If the sender does not sign, a receiver that has a chunk refuses smaller ones until no chunk has arrived for ten seconds. Before,
+/// smaller ones would be sent in vain.
 #[test]
 fn chunks_of_a_sender_that_does_not_sign_keep_their_size_once_one_has_arrived() {
     let (mut uploader, mut inbox) = (Uploader::local(drone().site, model(20)).unsigned(), inbox());
@@ -255,9 +259,7 @@ fn chunks_of_a_sender_that_does_not_sign_keep_their_size_once_one_has_arrived() 
         answer(&mut inbox, &mut uploader, at);
         uploader.on_connected(at);
         let offered = uploader.next(at).unwrap();
-        assert!(
-            matches!(Message::decode(&offered.payload), Ok(Message::Header(header)) if header.chunk_bytes == 8192)
-        );
+        assert_eq!(offered_chunk_bytes(&offered), 8192);
         deliver(&mut inbox, at, &offered);
         answer(&mut inbox, &mut uploader, at);
         while uploader.next(at).is_some() {}
@@ -266,9 +268,7 @@ fn chunks_of_a_sender_that_does_not_sign_keep_their_size_once_one_has_arrived() 
     let at = 16 * S;
     uploader.on_connected(at);
     let offered = uploader.next(at).unwrap();
-    assert!(
-        matches!(Message::decode(&offered.payload), Ok(Message::Header(header)) if header.chunk_bytes == 2048)
-    );
+    assert_eq!(offered_chunk_bytes(&offered), 2048);
     deliver(&mut inbox, at, &offered);
     answer(&mut inbox, &mut uploader, at);
     let chunk = uploader.next(at).unwrap();
@@ -278,7 +278,7 @@ fn chunks_of_a_sender_that_does_not_sign_keep_their_size_once_one_has_arrived() 
     assert_eq!(count, 5, "the large one, and a small one");
 }
 
-/// On a line that breaks each second, the offer would take a share of what it carries.
+/// On a slow line that breaks each second, an offer at each connection would take the time of chunks.
 #[test]
 fn a_drone_that_has_just_asked_for_chunks_is_not_told_of_the_global_model_again() {
     let (site, device) = (drone().site, drone().device);
@@ -306,9 +306,7 @@ fn a_good_connection_keeps_its_chunks() {
     answer(&mut inbox, &mut uploader, 4 * S);
     uploader.on_connected(12 * S);
     let header = uploader.next(12 * S).unwrap();
-    assert!(
-        matches!(Message::decode(&header.payload), Ok(Message::Header(header)) if header.chunk_bytes == 8192)
-    );
+    assert_eq!(offered_chunk_bytes(&header), 8192);
 }
 
 /// A link that takes no chunks.
@@ -402,10 +400,6 @@ fn chunks_of_a_global_model_become_smaller_for_a_drone_that_few_reach() {
     let mut uploader = Uploader::global(site, TileId::WHOLE, model, &[device]);
     let drone = Identity { role: Role::Device, ..drone() };
     let mut inbox = Inbox::new(drone, InboxLimits::default(), &[]);
-    let header = |message: Outgoing| match Message::decode(&message.payload) {
-        Ok(Message::Header(header)) => header.chunk_bytes,
-        other => panic!("{other:?}"),
-    };
     deliver(&mut inbox, S, &uploader.next(S).unwrap());
     answer(&mut inbox, &mut uploader, S);
     let chunks: Vec<Outgoing> = std::iter::from_fn(|| uploader.next(S)).collect();
@@ -414,7 +408,7 @@ fn chunks_of_a_global_model_become_smaller_for_a_drone_that_few_reach() {
         uploader.on_birth(at, device);
         let offered = uploader.next(at).unwrap();
         deliver(&mut inbox, at, &offered);
-        assert_eq!(header(offered), if index == 0 { 8192 } else { 2048 });
+        assert_eq!(offered_chunk_bytes(&offered), if index == 0 { 8192 } else { 2048 });
         answer(&mut inbox, &mut uploader, at);
     }
     // Births of others change nothing.

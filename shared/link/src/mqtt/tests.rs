@@ -44,16 +44,13 @@ fn serve(mut stream: TcpStream, unacknowledged: Option<&AtomicU32>) {
             1 => vec![0x20, 3, 0, 0, 0],
             8 => vec![0x90, 5, body[0], body[1], 0, 1, 1],
             12 => vec![0xD0, 0],
-            3 => {
-                let topic = usize::from(u16::from_be_bytes([body[0], body[1]]));
-                match unacknowledged {
-                    Some(count) => {
-                        count.fetch_add(1, Ordering::Relaxed);
-                        continue;
-                    }
-                    None => vec![0x40, 2, body[topic + 2], body[topic + 3]],
+            3 => match unacknowledged {
+                Some(count) => {
+                    count.fetch_add(1, Ordering::Relaxed);
+                    continue;
                 }
-            }
+                None => acknowledgement(&body),
+            },
             _ => continue,
         };
         if stream.write_all(&answer).is_err() {
@@ -111,15 +108,34 @@ fn flood(mut stream: TcpStream) {
     }
 }
 
-/// A drone's connection to a broker that serves only it.
-fn drone_served_by(serve: fn(TcpStream)) -> MqttTransport {
+/// A drone that connects, and where its connections arrive.
+fn drone() -> (TcpListener, MqttTransport) {
     let listener = TcpListener::bind("127.0.0.1:0").unwrap();
-    let port = listener.local_addr().unwrap().port();
-    std::thread::spawn(move || serve(listener.accept().unwrap().0));
+    let broker = BrokerAddress::plain("127.0.0.1", listener.local_addr().unwrap().port());
     let (site, device) = (SiteId::new("site").unwrap(), DeviceId::new("drone").unwrap());
     let identity = Identity { site, device, session: 1, role: Role::Device };
-    let broker = BrokerAddress::plain("127.0.0.1", port);
-    MqttTransport::start(MqttConfig { broker, identity, will: None, tls: None, login: None })
+    let config = MqttConfig { broker, identity, will: None, tls: None, login: None };
+    (listener, MqttTransport::start(config))
+}
+
+/// A message of that drone.
+fn state(payload: u8) -> Outgoing {
+    let (site, device) = (SiteId::new("site").unwrap(), DeviceId::new("drone").unwrap());
+    let topic = Topic::State { device }.to_text(&site);
+    Outgoing { topic, payload: vec![payload], retain: false }
+}
+
+/// The PUBACK for a message with this body.
+fn acknowledgement(body: &[u8]) -> Vec<u8> {
+    let topic = usize::from(u16::from_be_bytes([body[0], body[1]]));
+    vec![0x40, 2, body[topic + 2], body[topic + 3]]
+}
+
+/// A drone's connection to a broker that serves only it.
+fn drone_served_by(serve: fn(TcpStream)) -> MqttTransport {
+    let (listener, transport) = drone();
+    std::thread::spawn(move || serve(listener.accept().unwrap().0));
+    transport
 }
 
 /// A stranger who never stops talking does not keep a client from ending.
@@ -161,20 +177,14 @@ fn an_address_is_written_as_a_url_that_reads_back() {
 #[test]
 fn a_client_with_a_session_publishes_before_its_subscriptions_are_granted_again() {
     for (has_session, is_ready) in [(1, true), (0, false)] {
-        let listener = TcpListener::bind("127.0.0.1:0").unwrap();
-        let address = BrokerAddress::plain("127.0.0.1", listener.local_addr().unwrap().port());
-        let (site, device) = (SiteId::new("site").unwrap(), DeviceId::new("drone").unwrap());
-        let identity = Identity { site, device, session: 1, role: Role::Device };
-        let config = MqttConfig { broker: address, identity, will: None, tls: None, login: None };
-        let mut transport = MqttTransport::start(config);
+        let (listener, mut transport) = drone();
         let (mut stream, _) = listener.accept().unwrap();
         assert_eq!(read_packet(&mut stream).unwrap().0 >> 4, 1);
         stream.write_all(&[0x20, 3, has_session, 0, 0]).unwrap();
         assert_eq!(read_packet(&mut stream).unwrap().0 >> 4, 8, "it subscribes in any case");
         let event = transport.poll(Duration::from_millis(if is_ready { 20_000 } else { 300 }));
         assert_eq!(event, is_ready.then_some(TransportEvent::Connected));
-        let topic = Topic::State { device }.to_text(&site);
-        let published = transport.publish(&Outgoing { topic, payload: vec![1], retain: false });
+        let published = transport.publish(&state(1));
         if is_ready {
             published.unwrap();
             assert_eq!(read_packet(&mut stream).unwrap().0 >> 4, 3);
@@ -182,15 +192,10 @@ fn a_client_with_a_session_publishes_before_its_subscriptions_are_granted_again(
     }
 }
 
-/// On a line that breaks each second, the same subscriptions would take a share of what it carries.
+/// On a slow line that breaks each second, a subscription at each connection would take the time of other messages.
 #[test]
 fn a_client_that_is_soon_back_in_its_session_does_not_subscribe_again() {
-    let listener = TcpListener::bind("127.0.0.1:0").unwrap();
-    let address = BrokerAddress::plain("127.0.0.1", listener.local_addr().unwrap().port());
-    let (site, device) = (SiteId::new("site").unwrap(), DeviceId::new("drone").unwrap());
-    let identity = Identity { site, device, session: 1, role: Role::Device };
-    let config = MqttConfig { broker: address, identity, will: None, tls: None, login: None };
-    let mut transport = MqttTransport::start(config);
+    let (listener, mut transport) = drone();
     let mut published = 0;
     // Twice in its session, once in another one.
     for (has_session, subscribes) in [(0, true), (1, false), (1, false), (0, true)] {
@@ -204,12 +209,10 @@ fn a_client_that_is_soon_back_in_its_session_does_not_subscribe_again() {
         }
         while transport.poll(Duration::from_secs(20)).expect("no connection") != TransportEvent::Connected {}
         published += 1;
-        let topic = Topic::State { device }.to_text(&site);
-        transport.publish(&Outgoing { topic, payload: vec![published], retain: false }).unwrap();
+        transport.publish(&state(published)).unwrap();
         let (kind, body) = read_packet(&mut stream).unwrap();
         assert_eq!(kind >> 4, 3, "a message, and no subscription before it");
-        let topic = usize::from(u16::from_be_bytes([body[0], body[1]]));
-        stream.write_all(&[0x40, 2, body[topic + 2], body[topic + 3]]).unwrap();
+        stream.write_all(&acknowledgement(&body)).unwrap();
         while transport.client.pending() > 0 {
             std::thread::sleep(Duration::from_millis(1));
         }
@@ -279,12 +282,7 @@ fn connections_that_last_a_moment_do_not_get_rarer() {
 /// Breaks twice within the first message: a message that the line cannot carry keeps back all that follow.
 #[test]
 fn a_client_drops_a_session_whose_first_message_never_gets_through() {
-    let listener = TcpListener::bind("127.0.0.1:0").unwrap();
-    let address = BrokerAddress::plain("127.0.0.1", listener.local_addr().unwrap().port());
-    let (site, device) = (SiteId::new("site").unwrap(), DeviceId::new("drone").unwrap());
-    let identity = Identity { site, device, session: 1, role: Role::Device };
-    let config = MqttConfig { broker: address, identity, will: None, tls: None, login: None };
-    let _transport = MqttTransport::start(config);
+    let (listener, _transport) = drone();
     let message = [0x32, 8, 0, 1, b't', 0, 7, 0, b'x', b'y'];
     // Then a connection over which the message arrives, and a first one that breaks again.
     for (i, (sent, is_anew)) in [(5, false), (5, false), (10, true), (5, false)].into_iter().enumerate() {
@@ -311,10 +309,7 @@ fn serve_kept_session(mut stream: TcpStream) {
     while let Some((kind, body)) = read_packet(&mut stream) {
         let answer = match kind >> 4 {
             1 => [vec![0x20, 3, 1, 0, 0], want(1)].concat(),
-            3 => {
-                let topic = usize::from(u16::from_be_bytes([body[0], body[1]]));
-                [vec![0x40, 2, body[topic + 2], body[topic + 3]], want(2)].concat()
-            }
+            3 => [acknowledgement(&body), want(2)].concat(),
             _ => continue,
         };
         if stream.write_all(&answer).is_err() {
