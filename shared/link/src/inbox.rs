@@ -285,6 +285,12 @@ impl Inbox {
         self.transfers.values_mut().for_each(|transfer| transfer.on_connected(now));
     }
 
+    /// Notes that a sender is connected anew. It is told at once what has arrived of its models, as if it had offered them again.
+    pub(crate) fn on_birth(&mut self, now: Duration, device: DeviceId) {
+        let of_sender = self.transfers.iter_mut().filter(|(key, _)| key.device == device);
+        of_sender.for_each(|(_, transfer)| transfer.tell_what_is_new(now));
+    }
+
     /// Returns the next task that is due. Drops abandoned transfers.
     pub fn next(&mut self, now: Duration) -> Option<InboxAction> {
         if let Some(reply) = self.replies.pop_front() {

@@ -172,8 +172,17 @@ impl Peer {
         waits.then(|| self.resends.1 + RESEND_ALL / self.resends_max)
     }
 
+    /// Whether another chunk may be on its way. What was sent before the connection broke does not count: it has arrived, or is lost.
     fn has_room(&self) -> bool {
-        self.phase == PeerPhase::Fetching && self.in_flight.len() < self.window
+        let is_on_line = |sent: &&SentChunk| self.cut_at.is_none_or(|at| sent.at >= at);
+        self.phase == PeerPhase::Fetching
+            && self.in_flight.len() < self.window_max
+            && self.in_flight.iter().filter(is_on_line).count() < self.window
+    }
+
+    /// Whether chunks are left that were never sent to this receiver.
+    fn has_fresh_chunks(&self) -> bool {
+        self.wanted.first_outside(&self.sent).is_some()
     }
 
     /// Number of chunks that may be sent again.
@@ -279,6 +288,12 @@ impl Peer {
         } else if waited > WINDOW_SLOW {
             self.window = (self.window / 2).max(self.window_min);
         }
+    }
+
+    /// Whether the receiver needs no offer after a break: it has asked for chunks just before, and some were never sent. While they
+    /// are, the receiver has time to tell which of the others it lacks.
+    pub(crate) fn is_supplied(&self, now: Duration) -> bool {
+        self.knows_offer(now) && self.has_fresh_chunks()
     }
 
     /// Whether the receiver is fetching the model, and has asked for chunks just before.

@@ -233,6 +233,11 @@ impl Transfer {
         if !self.is_connected_since {
             (self.last_heard, self.is_connected_since) = (now, true);
         }
+        self.tell_what_is_new(now);
+    }
+
+    /// Schedules a `Want` for `now` if the last one did not tell of all chunks that have arrived.
+    pub(crate) fn tell_what_is_new(&mut self, now: Duration) {
         if let TransferPhase::Fetching { want_at } = &mut self.phase
             && self.new_since_want > 0
         {

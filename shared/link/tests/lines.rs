@@ -11,7 +11,7 @@ use cosurf_link::{
     TransportEvent, Uploader,
 };
 use cosurf_tests::offers::{identity, offer};
-use cosurf_wire::{DeviceId, Message, ModelHeader, ModelKind, Sealed, TileId, Topic, Want};
+use cosurf_wire::{DeviceId, Message, ModelHeader, ModelKind, Sealed, State, TileId, Topic, Want};
 
 const S: Duration = Duration::from_secs(1);
 
@@ -117,13 +117,38 @@ fn the_answer_after_a_break_does_not_repeat_what_has_just_been_sent() {
     // Lost with the connection.
     let lost: Vec<Outgoing> = (0..10).map(|_| uploader.next(S).unwrap()).collect();
     uploader.on_connected(2 * S);
-    let offer = uploader.next(2 * S).unwrap();
     let early = uploader.next(2 * S).unwrap();
-    deliver(&mut inbox, 2 * S, &offer);
-    answer(&mut inbox, &mut uploader, 3 * S);
+    // The receiver asks again, as nothing has arrived.
+    answer(&mut inbox, &mut uploader, 3 * S).expect("a request");
     let later: Vec<Outgoing> = std::iter::from_fn(|| uploader.next(3 * S)).collect();
     assert_eq!(later[..10], lost);
     assert!(!later.contains(&early));
+}
+
+/// On a slow line that breaks each second, an offer and the wait for its answer would take the time of chunks. The receiver tells
+/// what has arrived when the sender is connected anew, and an offer is due once all chunks have been sent.
+#[test]
+fn after_a_break_chunks_go_on_without_an_offer_while_some_were_never_sent() {
+    let model = offer("drone", 1, ModelKind::Local, 1, 120 * 640, 8192);
+    let (mut uploader, mut inbox) = (Uploader::local(drone().site, model), inbox());
+    deliver(&mut inbox, S, &uploader.next(S).unwrap());
+    answer(&mut inbox, &mut uploader, S);
+    let first: Vec<Outgoing> = std::iter::from_fn(|| uploader.next(S)).collect();
+    assert_eq!(first.len(), 32, "a window");
+    // All but two are lost with the connection.
+    first[..2].iter().for_each(|message| assert_eq!(deliver(&mut inbox, S, message), None));
+    uploader.on_connected(2 * S);
+    let second: Vec<Outgoing> = std::iter::from_fn(|| uploader.next(2 * S)).collect();
+    assert_eq!(second.len(), 32, "a window for this connection");
+    assert!(second.iter().all(|message| message.is_chunk() && !first.contains(message)));
+    // Until all have been sent: then only the receiver can tell what is missing.
+    uploader.on_connected(3 * S);
+    while uploader.next(3 * S).is_some() {}
+    uploader.on_connected(4 * S);
+    while uploader.next(4 * S).is_some() {}
+    uploader.on_connected(5 * S);
+    let offer = uploader.next(5 * S).unwrap();
+    assert!(matches!(Message::decode(&offer.payload), Ok(Message::Header(_))));
 }
 
 /// Sends a model in chunks of 2 KiB over a line of 30 kB/s that carries nothing for `stall`, a second after the start. Loses
@@ -357,39 +382,75 @@ fn control_messages_do_not_wait_behind_chunks() {
     assert!(Sealed::decode(&link.sent[0].payload).is_ok());
 }
 
+/// A receiver of a global model that has its header, at time 1 s, and a chunk of it.
+struct Fetching {
+    node: Node,
+    link: Congested,
+    chunk: Outgoing,
+}
+
+impl Fetching {
+    fn start() -> Self {
+        let mut fetching = Self {
+            node: Node::new(drone(), InboxLimits::default(), &[]),
+            link: Congested { events: Vec::new(), sent: Vec::new() },
+            chunk: Outgoing { topic: cosurf_wire::TopicString::new(), payload: Vec::new(), retain: false },
+        };
+        let model = offer("ground", 1, ModelKind::Global, 1, 20 * 640, 8192);
+        let mut uploader = Uploader::global(drone().site, TileId::WHOLE, model.clone(), &[drone().device]);
+        let header = uploader.next(S).unwrap();
+        let ModelHeader { device, model, .. } = model.header;
+        let want = Want { device, model, session: 1, idle: false, missing: cosurf_wire::Missing::all() };
+        let topic = Topic::GlobalReply { device: drone().device, reply: cosurf_wire::Reply::Want };
+        uploader.on_reply(S, &topic, &Message::Want(want));
+        fetching.chunk = uploader.next(S).unwrap();
+        assert_eq!(fetching.wants_after(TransportEvent::Connected, S), 0);
+        assert_eq!(fetching.wants_after(incoming(&header), S), 1);
+        fetching
+    }
+
+    /// Number of requests that follow an event.
+    fn wants_after(&mut self, event: TransportEvent, at: Duration) -> usize {
+        self.link.events.push(event);
+        (0..4).for_each(|_| drop(self.node.step(&mut self.link, || at, Duration::ZERO)));
+        let sent = std::mem::take(&mut self.link.sent);
+        sent.iter().filter(|message| message.topic.as_str().ends_with("/want")).count()
+    }
+
+    fn wants_after_chunk(&mut self, at: Duration) -> usize {
+        let chunk = incoming(&self.chunk);
+        self.wants_after(chunk, at)
+    }
+}
+
+fn incoming(message: &Outgoing) -> TransportEvent {
+    TransportEvent::Incoming { topic: message.topic.as_str().to_owned(), payload: message.payload.clone() }
+}
+
 /// At its next connection, the sender judges by this whether its chunks get through.
 #[test]
 fn a_receiver_that_is_connected_again_tells_at_once_what_has_arrived() {
-    let mut node = Node::new(drone(), InboxLimits::default(), &[]);
-    let mut link = Congested { events: Vec::new(), sent: Vec::new() };
-    let model = offer("ground", 1, ModelKind::Global, 1, 20 * 640, 8192);
-    let mut uploader = Uploader::global(drone().site, TileId::WHOLE, model.clone(), &[drone().device]);
-    let incoming = |message: &Outgoing| TransportEvent::Incoming {
-        topic: message.topic.as_str().to_owned(),
-        payload: message.payload.clone(),
+    let mut receiver = Fetching::start();
+    assert_eq!(receiver.wants_after(TransportEvent::Connected, S + S / 10), 0, "nothing is new");
+    assert_eq!(receiver.wants_after_chunk(S + S / 5), 0, "more chunks may follow");
+    assert_eq!(receiver.wants_after(TransportEvent::Connected, S + S / 2), 1);
+}
+
+/// After a break, this takes the place of an offer and its answer.
+#[test]
+fn a_sender_that_is_connected_again_is_told_at_once_what_has_arrived() {
+    let mut receiver = Fetching::start();
+    let birth = |device: &str| {
+        let state = State { device: DeviceId::new(device).unwrap(), session: 1, alive: true };
+        let mut buffer = [0; cosurf_wire::MAX_CONTROL_BYTES];
+        let payload = Message::State(state).encode(&mut buffer).unwrap().to_vec();
+        let topic = Topic::State { device: state.device }.to_text(&drone().site);
+        incoming(&Outgoing { topic, payload, retain: false })
     };
-    let header = uploader.next(S).unwrap();
-    let want = Want {
-        device: model.header.device,
-        model: model.header.model,
-        session: 1,
-        idle: false,
-        missing: cosurf_wire::Missing::all(),
-    };
-    let topic = Topic::GlobalReply { device: drone().device, reply: cosurf_wire::Reply::Want };
-    uploader.on_reply(S, &topic, &Message::Want(want));
-    let chunk = uploader.next(S).unwrap();
-    let mut wants_after = |event: TransportEvent, at: Duration| {
-        link.events.push(event);
-        (0..4).for_each(|_| drop(node.step(&mut link, || at, Duration::ZERO)));
-        let sent = std::mem::take(&mut link.sent);
-        sent.iter().filter(|message| message.topic.as_str().ends_with("/want")).count()
-    };
-    assert_eq!(wants_after(TransportEvent::Connected, S), 0);
-    assert_eq!(wants_after(incoming(&header), S), 1);
-    assert_eq!(wants_after(TransportEvent::Connected, S + S / 10), 0, "nothing is new");
-    assert_eq!(wants_after(incoming(&chunk), S + S / 5), 0, "more chunks may follow");
-    assert_eq!(wants_after(TransportEvent::Connected, S + S / 2), 1);
+    assert_eq!(receiver.wants_after(birth("ground"), S + S / 10), 0, "nothing is new");
+    assert_eq!(receiver.wants_after_chunk(S + S / 5), 0, "more chunks may follow");
+    assert_eq!(receiver.wants_after(birth("other"), S + S / 2), 0, "it sends something else");
+    assert_eq!(receiver.wants_after(birth("ground"), S + S / 2), 1);
 }
 
 /// The same for a global model: each connection of the drone begins with its birth.

@@ -223,6 +223,7 @@ impl Node {
         if state.alive {
             let now = self.now;
             self.uploaders.iter_mut().for_each(|uploader| uploader.on_birth(now, state.device));
+            self.inbox.on_birth(now, state.device);
         }
         if self.confirms_flights() {
             self.confirming.on_state(self.now, &state, self.devices_max);
