@@ -29,7 +29,7 @@ use crate::device::{Device, DeviceError};
 use cells::cells;
 use observer::{Near, Observer, Said, shown_mostly};
 use slopes::Slopes;
-use surface::median;
+use surface::{BEHIND, median};
 
 pub use cells::longest_side;
 pub use density::Density;
@@ -49,6 +49,12 @@ const OWNER_CAMERAS_MIN: usize = 2;
 /// their pictures; two of three of rendered Boruszyn's cameras with inverted poses show less than 0.5. Believed, they
 /// take ground and cost 0.4 dB.
 const SHOWN_SHARE_MIN: f64 = 0.5;
+
+/// Where no other model looks, a splat is hidden only if it is deeper than the surface by more than this factor. At the
+/// border of a site, many splats that are needed lie up to a fifth behind the surface in all pictures: with [`BEHIND`] there
+/// too, two halves of the built-in city have 24.28 dB instead of 24.45 after they are merged. Where others look, [`BEHIND`]
+/// is needed: six white splats a tenth below the ground of Caliterra cost 0.3 dB with it, and 0.8 dB with this.
+const BEHIND_ALONE: f32 = 1.2;
 
 /// What the cameras of all models observed.
 #[derive(Clone, Debug, Default)]
@@ -219,9 +225,12 @@ impl Ground<'_> {
     fn is_hidden(&self, place: DVec3, own: usize) -> bool {
         let its = &self.near[own];
         if its.contains(place) {
-            return !its.sees(place);
+            let is_shared =
+                (0..self.near.len()).any(|model| model != own && self.near[model].contains(place));
+            return !its.sees(place, if is_shared { BEHIND } else { BEHIND_ALONE });
         }
-        self.near.iter().any(|near| near.contains(place)) && !self.near.iter().any(|near| near.sees(place))
+        let mut all = self.near.iter();
+        self.near.iter().any(|near| near.contains(place)) && !all.any(|near| near.sees(place, BEHIND))
     }
 
     /// The worth of a model's observations, as a share of the largest worth of all models, 0..=1.

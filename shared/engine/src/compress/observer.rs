@@ -8,15 +8,15 @@ use serde::{Deserialize, Serialize};
 use super::cells::cells;
 use super::density::{Counts, Density};
 use super::slopes::{SLOPES_PX, Slopes};
-use super::surface::{BEHIND, Look, Reach, Surface, Visibility, median};
+use super::surface::{Look, Reach, Surface, Visibility, median};
 use super::trust::Trust;
 use crate::device::{Device, DeviceError};
 use crate::render::Renderer;
 
 /// A splat proves that its model observed a place if the splat lies on the surface: deeper than the surface by at most this
 /// factor, in at least [`PROVING_SHARE_MIN`] of the pictures that contain the splat. Of trained splats, 99 % lie on the
-/// surface by this rule. Of 67,000 splats 6 m below the ground of rendered Boruszyn, 4 % do; with the factor [`BEHIND`] and
-/// any single picture, 73 % would.
+/// surface by this rule. Of 67,000 splats 6 m below the ground of rendered Boruszyn, 4 % do; with the factor
+/// [`super::surface::BEHIND`] and any single picture, 73 % would.
 const BEHIND_PROVING: f32 = 1.02;
 /// See [`BEHIND_PROVING`].
 const PROVING_SHARE_MIN: f64 = 0.25;
@@ -258,9 +258,9 @@ impl Near<'_> {
         self.sights.iter().chain(&self.beyond).any(|sight| sight.frustum.contains(place))
     }
 
-    /// Whether some camera sees `place`.
-    pub(super) fn sees(&self, place: DVec3) -> bool {
-        self.sights.iter().any(|sight| sight.sees(place, self.sees_through))
+    /// Whether `place` lies in the picture of some camera, not deeper than the surface by more than the factor `behind`.
+    pub(super) fn sees(&self, place: DVec3, behind: f32) -> bool {
+        self.sights.iter().any(|sight| sight.sees(place, self.sees_through, behind))
     }
 
     /// Whether a splat at `place` proves that the model observed what lies there.
@@ -358,9 +358,9 @@ impl Sight {
         }
     }
 
-    /// Whether `place` lies in the picture and is not hidden.
-    fn sees(&self, place: DVec3, sees_through: bool) -> bool {
+    /// Whether `place` lies in the picture, not deeper than the surface by more than the factor `behind`.
+    fn sees(&self, place: DVec3, sees_through: bool, behind: f32) -> bool {
         self.frustum.contains(place)
-            && (sees_through || self.visibility.as_ref().is_none_or(|its| its.shows(place, BEHIND)))
+            && (sees_through || self.visibility.as_ref().is_none_or(|its| its.shows(place, behind)))
     }
 }

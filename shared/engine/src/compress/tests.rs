@@ -316,6 +316,25 @@ fn splats_that_the_surface_hides_from_all_cameras_are_lost() {
     assert!(Compression::plan(&model, 0, &by_cameras_alone).removed.is_empty());
 }
 
+/// A tenth deeper than the surface, as splats are that make up the border of a site.
+#[test]
+fn splats_just_behind_the_surface_are_lost_only_where_others_look() {
+    let mut model = ground();
+    let visible = model.len();
+    level(&mut model, 0.4, -1.0);
+    let behind: Vec<u32> = (visible as u32..model.len() as u32).collect();
+    let lost = |other: Option<Vec<Camera>>| {
+        let other = other.map(|cameras| (ground(), cameras, 1.0));
+        let models =
+            std::iter::once((model.clone(), cameras(4, 100.0), 1.0)).chain(other).collect::<Vec<_>>();
+        Compression::plan(&model, 0, &known(&models)).removed
+    };
+    assert_eq!(lost(Some(cameras(4, 90.0))), behind);
+    assert!(lost(None).is_empty());
+    let beside = (0..4).map(|i| above(30.0 + 0.2 * f64::from(i), 0.0, 90.0)).collect();
+    assert!(lost(Some(beside)).is_empty());
+}
+
 #[test]
 fn splats_outside_the_models_pictures_are_lost_where_others_see_a_surface_above_them() {
     let away = |mut splats: Splats| {
