@@ -52,7 +52,7 @@ const SHOWN_SHARE_MIN: f64 = 0.5;
 
 /// Where no other model looks, a splat is hidden only if it is deeper than the surface by more than this factor. At the
 /// border of a site, many splats that are needed lie up to a fifth behind the surface in all pictures: with [`BEHIND`] there
-/// too, two halves of the built-in city have 24.28 dB instead of 24.45 after they are merged. Where others look, [`BEHIND`]
+/// too, two halves of the built-in city have 24.28 dB instead of 24.44 after they are merged. Where others look, [`BEHIND`]
 /// is needed: six white splats a tenth below the ground of Caliterra cost 0.3 dB with it, and 0.8 dB with this.
 const BEHIND_ALONE: f32 = 1.2;
 
