@@ -260,7 +260,8 @@ impl Near<'_> {
 
     /// Whether `place` lies in the picture of some camera, not deeper than the surface by more than the factor `behind`.
     pub(super) fn sees(&self, place: DVec3, behind: f32) -> bool {
-        self.sights.iter().any(|sight| sight.sees(place, self.sees_through, behind))
+        let mut all = self.sights.iter().chain(&self.beyond);
+        all.any(|sight| sight.sees(place, self.sees_through, behind))
     }
 
     /// Whether a splat at `place` proves that the model observed what lies there.
