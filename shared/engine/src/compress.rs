@@ -225,12 +225,12 @@ impl Ground<'_> {
     fn is_hidden(&self, place: DVec3, own: usize) -> bool {
         let its = &self.near[own];
         if its.contains(place) {
-            let is_shared =
-                (0..self.near.len()).any(|model| model != own && self.near[model].contains(place));
-            return !its.sees(place, if is_shared { BEHIND } else { BEHIND_ALONE });
+            let mut each = self.near.iter().enumerate();
+            let others_look = each.any(|(model, near)| model != own && near.contains(place));
+            return !its.sees(place, if others_look { BEHIND } else { BEHIND_ALONE });
         }
-        let mut all = self.near.iter();
-        self.near.iter().any(|near| near.contains(place)) && !all.any(|near| near.sees(place, BEHIND))
+        self.near.iter().any(|near| near.contains(place))
+            && !self.near.iter().any(|near| near.sees(place, BEHIND))
     }
 
     /// The worth of a model's observations, as a share of the largest worth of all models, 0..=1.

@@ -285,7 +285,7 @@ impl Inbox {
         self.transfers.values_mut().for_each(|transfer| transfer.on_connected(now));
     }
 
-    /// Notes that a sender is connected anew. It is told at once what has arrived of its models, as if it had offered them again.
+    /// Notes that a sender has connected again. It is told at once what has arrived of its models since it was last told.
     pub(crate) fn on_birth(&mut self, now: Duration, device: DeviceId) {
         let of_sender = self.transfers.iter_mut().filter(|(key, _)| key.device == device);
         of_sender.for_each(|(_, transfer)| transfer.tell_what_is_new(now));

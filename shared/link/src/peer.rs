@@ -172,17 +172,13 @@ impl Peer {
         waits.then(|| self.resends.1 + RESEND_ALL / self.resends_max)
     }
 
-    /// Whether another chunk may be on its way. What was sent before the connection broke does not count: it has arrived, or is lost.
+    /// Whether another chunk may be sent now. Chunks that were sent before the connection broke take no room: they have arrived,
+    /// or are lost.
     fn has_room(&self) -> bool {
         let is_on_line = |sent: &&SentChunk| self.cut_at.is_none_or(|at| sent.at >= at);
         self.phase == PeerPhase::Fetching
             && self.in_flight.len() < self.window_max
             && self.in_flight.iter().filter(is_on_line).count() < self.window
-    }
-
-    /// Whether chunks are left that were never sent to this receiver.
-    fn has_fresh_chunks(&self) -> bool {
-        self.wanted.first_outside(&self.sent).is_some()
     }
 
     /// Number of chunks that may be sent again.
@@ -290,10 +286,10 @@ impl Peer {
         }
     }
 
-    /// Whether the receiver needs no offer after a break: it has asked for chunks just before, and some were never sent. While they
-    /// are, the receiver has time to tell which of the others it lacks.
+    /// Whether the receiver needs no offer after a break: it has asked for chunks just before, and some of them were never sent.
+    /// While those are being sent, it has time to tell which of the others it lacks.
     pub(crate) fn is_supplied(&self, now: Duration) -> bool {
-        self.knows_offer(now) && self.has_fresh_chunks()
+        self.knows_offer(now) && self.wanted.first_outside(&self.sent).is_some()
     }
 
     /// Whether the receiver is fetching the model, and has asked for chunks just before.

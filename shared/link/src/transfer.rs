@@ -236,7 +236,7 @@ impl Transfer {
         self.tell_what_is_new(now);
     }
 
-    /// Schedules a `Want` for `now` if the last one did not tell of all chunks that have arrived.
+    /// Schedules a `Want` for `now` if chunks have arrived since the last one.
     pub(crate) fn tell_what_is_new(&mut self, now: Duration) {
         if let TransferPhase::Fetching { want_at } = &mut self.phase
             && self.new_since_want > 0

@@ -248,9 +248,9 @@ impl Uploader {
     }
 
     /// Repeats the offer, because the transport is connected (again), and the broker may have lost the offer and the chunks
-    /// that were on their way. An aggregator that has just asked for chunks is not told again while others are still to be sent: on
-    /// a line of 5 kB/s that breaks each second, the offers and the waits for their answers took a tenth of the time. If hardly a
-    /// chunk has got through twice in a row, chunks become smaller.
+    /// that were on their way. Does not repeat it to an aggregator that asked for chunks just before, while some were never sent:
+    /// on a line of 5 kB/s that breaks each second, offers and the waits for their answers took a tenth of the time. If hardly
+    /// a chunk has got through twice in a row, chunks become smaller.
     pub fn on_connected(&mut self, now: Duration) {
         self.peers.iter_mut().for_each(|peer| peer.on_cut(now));
         let is_local = matches!(self.destination, Destination::Aggregator);

@@ -125,8 +125,7 @@ fn the_answer_after_a_break_does_not_repeat_what_has_just_been_sent() {
     assert!(!later.contains(&early));
 }
 
-/// On a slow line that breaks each second, an offer and the wait for its answer would take the time of chunks. The receiver tells
-/// what has arrived when the sender is connected anew, and an offer is due once all chunks have been sent.
+/// On a slow line that breaks each second, an offer and the wait for its answer would take the time of chunks.
 #[test]
 fn after_a_break_chunks_go_on_without_an_offer_while_some_were_never_sent() {
     let model = offer("drone", 1, ModelKind::Local, 1, 120 * 640, 8192);
@@ -141,7 +140,7 @@ fn after_a_break_chunks_go_on_without_an_offer_while_some_were_never_sent() {
     let second: Vec<Outgoing> = std::iter::from_fn(|| uploader.next(2 * S)).collect();
     assert_eq!(second.len(), 32, "a window for this connection");
     assert!(second.iter().all(|message| message.is_chunk() && !first.contains(message)));
-    // Until all have been sent: then only the receiver can tell what is missing.
+    // Once all have been sent, there is an offer again: only the answer tells what is missing.
     uploader.on_connected(3 * S);
     while uploader.next(3 * S).is_some() {}
     uploader.on_connected(4 * S);
@@ -501,8 +500,7 @@ fn what_is_lost_is_asked_for_although_connections_are_short() {
         while node.step(link, || now, Duration::ZERO).is_some() {}
         node.step(link, || now, Duration::ZERO);
     };
-    let Outgoing { topic, payload, .. } = header;
-    take(&mut link, S, TransportEvent::Incoming { topic: topic.to_string(), payload });
+    take(&mut link, S, incoming(&header));
     let is_idle = |message: &Outgoing| match Sealed::decode(&message.payload) {
         Ok(Sealed { message: Message::Want(want), .. }) => want.idle,
         _ => false,

@@ -27,6 +27,15 @@ fn ground() -> Splats {
     splats
 }
 
+/// That ground with a level as [`level`] adds it, and the indices of the splats of that level.
+fn ground_and_level(half: f32, z: f32) -> (Splats, Vec<u32>) {
+    let mut model = ground();
+    let first = model.len() as u32;
+    level(&mut model, half, z);
+    let added = (first..model.len() as u32).collect();
+    (model, added)
+}
+
 /// Adds a flat opaque square with this half width at the height `z`.
 fn level(splats: &mut Splats, half: f32, z: f32) {
     let steps = (2.0 * half / 0.2) as usize;
@@ -304,10 +313,7 @@ fn the_standing_of_a_view_is_its_models_share_of_the_best() {
 /// the edge of the pictures, or on the ground, stays.
 #[test]
 fn splats_that_the_surface_hides_from_all_cameras_are_lost() {
-    let mut model = ground();
-    let visible = model.len();
-    level(&mut model, 0.4, -4.0);
-    let hidden: Vec<u32> = (visible as u32..model.len() as u32).collect();
+    let (model, hidden) = ground_and_level(0.4, -4.0);
     let alone = known(&[(model.clone(), cameras(4, 100.0), 1.0)]);
     assert_eq!(Compression::plan(&model, 0, &alone).removed, hidden);
     let beside = known(&[(model.clone(), cameras(4, 100.0), 1.0), (ground(), cameras(4, 90.0), 1.0)]);
@@ -319,10 +325,7 @@ fn splats_that_the_surface_hides_from_all_cameras_are_lost() {
 /// A tenth deeper than the surface, as splats are that make up the border of a site.
 #[test]
 fn splats_just_behind_the_surface_are_lost_only_where_others_look() {
-    let mut model = ground();
-    let visible = model.len();
-    level(&mut model, 0.4, -1.0);
-    let behind: Vec<u32> = (visible as u32..model.len() as u32).collect();
+    let (model, behind) = ground_and_level(0.4, -1.0);
     let lost = |other: Option<Vec<Camera>>| {
         let other = other.map(|cameras| (ground(), cameras, 1.0));
         let models =
@@ -359,10 +362,7 @@ fn splats_outside_the_models_pictures_are_lost_where_others_see_a_surface_above_
 /// In mid-air, each before a single camera of another model, which can own nothing.
 #[test]
 fn splats_that_other_cameras_look_through_are_lost() {
-    let mut model = ground();
-    let visible = model.len();
-    level(&mut model, 0.2, 6.0);
-    let floating: Vec<u32> = (visible as u32..model.len() as u32).collect();
+    let (model, floating) = ground_and_level(0.2, 6.0);
     assert!(!floating.is_empty());
     // The model's own cameras look down beside them.
     let own: Vec<Camera> = (0..4).map(|i| above(-3.0 + 0.1 * f64::from(i), 0.0, 100.0)).collect();
