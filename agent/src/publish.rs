@@ -14,6 +14,7 @@ use anyhow::{Result, bail};
 use cosurf_contract::AgentEvent;
 use cosurf_link::{
     Complete, InboxLimits, ModelKey, Node, NodeEvent, Offer, ReceiveError, Received, Transport,
+    UploadProgress,
 };
 use cosurf_scene::Camera;
 use cosurf_scene::bytes::format_bytes;
@@ -204,7 +205,8 @@ impl<'a, F: FnMut(AgentEvent)> Publisher<'a, F> {
             }
             NodeEvent::Progress(_, progress) => {
                 if let Upload::Sending { bytes_total } = self.upload {
-                    (self.on_event)(AgentEvent::Publishing { bytes_sent: progress.bytes_sent, bytes_total });
+                    let UploadProgress { bytes_arrived, bytes_sent, .. } = progress;
+                    (self.on_event)(AgentEvent::Publishing { bytes_arrived, bytes_sent, bytes_total });
                 }
             }
             NodeEvent::Uploaded(_, progress) => {

@@ -173,7 +173,10 @@ impl<F: Fn(GatewayEvent)> Bridge<F> {
                 (self.client, self.newborn) = (None, None);
                 self.tell(GatewayEvent::OffLine { reason });
             }
-            Some(TransportEvent::Connected | TransportEvent::Denied { .. }) | None => {}
+            Some(
+                TransportEvent::Connected | TransportEvent::Resumed { .. } | TransportEvent::Denied { .. },
+            )
+            | None => {}
         }
     }
 
@@ -225,7 +228,9 @@ impl<F: Fn(GatewayEvent)> Bridge<F> {
                 TransportEvent::Incoming { topic, payload } => self.relay.hear_broker(&topic, payload),
                 // The client is new, or the broker may have lost the device's birth notice: publish the
                 // notice.
-                TransportEvent::Connected => self.up = self.up.take().or_else(|| self.relay.birth()),
+                TransportEvent::Connected | TransportEvent::Resumed { .. } => {
+                    self.up = self.up.take().or_else(|| self.relay.birth());
+                }
                 TransportEvent::Denied { reason } => denied.push(reason),
                 TransportEvent::Disconnected { .. } => {}
             }

@@ -254,8 +254,8 @@ fn describe(event: &AgentEvent) -> Option<String> {
             }
             text
         }
-        AgentEvent::Publishing { bytes_sent, bytes_total } => {
-            format!("sent {bytes_sent} of {bytes_total} bytes")
+        AgentEvent::Publishing { bytes_arrived, bytes_total, .. } => {
+            format!("{bytes_arrived} of {bytes_total} bytes have arrived")
         }
         AgentEvent::Acknowledged { bytes_sent } => {
             format!("the aggregator has stored the model ({bytes_sent} bytes sent)")

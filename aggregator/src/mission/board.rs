@@ -38,6 +38,8 @@ pub(crate) struct Status {
     pub(crate) splats: usize,
     pub(crate) steps_per_s: f32,
     pub(crate) seconds_left: f32,
+    /// Bytes of the model that have arrived at the aggregator.
+    pub(crate) bytes_arrived: u64,
     pub(crate) bytes_sent: u64,
     pub(crate) bytes_total: u64,
     pub(crate) restarts: u32,
@@ -104,9 +106,10 @@ impl Status {
             AgentEvent::Retrying { reason, attempt } => {
                 return Some(format!("{reason}; trying again (attempt {attempt})"));
             }
-            AgentEvent::Publishing { bytes_sent, bytes_total } => {
+            AgentEvent::Publishing { bytes_arrived, bytes_sent, bytes_total } => {
                 self.phase = Phase::Publishing;
-                (self.bytes_sent, self.bytes_total) = (*bytes_sent, *bytes_total);
+                (self.bytes_arrived, self.bytes_sent) = (*bytes_arrived, *bytes_sent);
+                self.bytes_total = *bytes_total;
             }
             AgentEvent::Acknowledged { bytes_sent } => {
                 self.phase = Phase::Waiting;

@@ -117,8 +117,8 @@ fn describe(status: &Status) -> String {
             format_seconds(f64::from(status.seconds_left)),
         ),
         Phase::Publishing => format!(
-            "trained · {splats} · sent {} of {}",
-            format_bytes(status.bytes_sent),
+            "trained · {splats} · {} of {} have arrived",
+            format_bytes(status.bytes_arrived),
             format_bytes(status.bytes_total)
         ),
         Phase::Waiting => format!("{splats} uploaded · waiting for the global model"),

@@ -146,6 +146,9 @@ pub enum AgentEvent {
     },
     /// Upload progress.
     Publishing {
+        /// Bytes of the encoded model that have arrived at the aggregator.
+        #[serde(default)]
+        bytes_arrived: u64,
         /// Bytes of all messages sent so far, including retries.
         bytes_sent: u64,
         /// Size of the encoded model in bytes.

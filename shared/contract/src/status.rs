@@ -50,6 +50,9 @@ pub struct AgentStatus {
     pub splats: usize,
     /// Estimated time until the end of the training, or of the base, seconds; `None` if not known.
     pub seconds_left: Option<f32>,
+    /// Bytes of the model that have arrived at the aggregator.
+    #[serde(default)]
+    pub bytes_arrived: u64,
     /// Bytes of all messages of the upload so far.
     pub bytes_sent: u64,
     /// Size of the encoded model in bytes; 0 before the upload.
@@ -96,6 +99,7 @@ impl AgentStatus {
             psnr: None,
             splats: 0,
             seconds_left: None,
+            bytes_arrived: 0,
             bytes_sent: 0,
             bytes_total: 0,
             memory_bytes: 0,
@@ -164,13 +168,14 @@ impl AgentStatus {
                 (self.phase, self.seconds_left) = (AgentPhase::Preparing, Some(*seconds_left));
             }
             AgentEvent::Compressed { .. } => self.seconds_left = None,
-            AgentEvent::Publishing { bytes_sent, bytes_total } => {
+            AgentEvent::Publishing { bytes_arrived, bytes_sent, bytes_total } => {
                 (self.phase, self.problem, self.seconds_left) = (AgentPhase::Uploading, None, None);
-                (self.bytes_sent, self.bytes_total) = (*bytes_sent, *bytes_total);
+                (self.bytes_arrived, self.bytes_sent) = (*bytes_arrived, *bytes_sent);
+                self.bytes_total = *bytes_total;
             }
             AgentEvent::Acknowledged { bytes_sent } => {
                 (self.phase, self.problem, self.seconds_left) = (AgentPhase::Waiting, None, None);
-                self.bytes_sent = *bytes_sent;
+                (self.bytes_arrived, self.bytes_sent) = (self.bytes_total, *bytes_sent);
             }
             AgentEvent::Ingesting { .. } => self.phase = AgentPhase::Loading,
             AgentEvent::GlobalReceived { .. } => self.problem = None,
@@ -214,10 +219,14 @@ mod tests {
         assert!(text.len() < 1200, "{} bytes", text.len());
         assert_eq!(serde_json::from_str::<AgentStatus>(&text).unwrap(), status);
         assert_eq!(AgentStatus::parse(text.as_bytes()).unwrap(), status);
-        assert!(status.follow(&AgentEvent::Publishing { bytes_sent: 5, bytes_total: 9 }));
-        assert_eq!((status.problem.clone(), status.bytes_total), (None, 9), "it has got over the problem");
+        assert!(status.follow(&AgentEvent::Publishing { bytes_arrived: 3, bytes_sent: 5, bytes_total: 9 }));
+        assert_eq!(
+            (status.problem.clone(), status.bytes_arrived, status.bytes_total),
+            (None, 3, 9),
+            "it has got over the problem"
+        );
         assert!(status.follow(&AgentEvent::Acknowledged { bytes_sent: 11 }));
-        assert_eq!((status.phase, status.bytes_sent), (AgentPhase::Waiting, 11));
+        assert_eq!((status.phase, status.bytes_arrived, status.bytes_sent), (AgentPhase::Waiting, 9, 11));
     }
 
     #[test]

@@ -120,6 +120,7 @@ impl Transport for MqttTransport {
     fn poll(&mut self, timeout: Duration) -> Option<TransportEvent> {
         self.client.poll(timeout).and_then(|event| match event {
             ClientEvent::Connected => Some(TransportEvent::Connected),
+            ClientEvent::Resumed { lost } => Some(TransportEvent::Resumed { lost }),
             ClientEvent::Disconnected { attempt, reason } => {
                 Some(TransportEvent::Disconnected { attempt, reason })
             }

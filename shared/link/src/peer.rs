@@ -30,11 +30,13 @@ pub(crate) struct Peer {
     window: usize,
     window_min: usize,
     window_max: usize,
-    /// When the connection was back after it was lost, if that was after the last `Want`. The chunks that were in flight
-    /// before are lost, unless the next `Want` lists them.
+    /// When all that was in flight may have been lost, if that was after the last `Want`. The chunks that were in flight before
+    /// are lost, unless the next `Want` lists them.
     cut_at: Option<Duration>,
-    /// Chunks that were sent to this receiver at least once.
+    /// Chunks that were sent to this receiver at least once, without those that the transport has lost since.
     sent: BitSet,
+    /// Chunks that the transport has lost at least once. The broker may have got them all the same.
+    lost: BitSet,
     /// Number of chunks that were sent to it, chunks sent again included.
     sends: u64,
     /// That number, and the number of chunks that the receiver was known to have, when it was last connected.
@@ -99,6 +101,7 @@ impl Peer {
             window_max: chunks_of(WINDOW_BYTES_MAX).clamp(WINDOW_FIRST, WINDOW_MAX),
             cut_at: None,
             sent: BitSet::empty(chunks),
+            lost: BitSet::empty(chunks),
             sends: 0,
             before: (0, 0),
             connected_at: None,
@@ -172,13 +175,8 @@ impl Peer {
         waits.then(|| self.resends.1 + RESEND_ALL / self.resends_max)
     }
 
-    /// Whether another chunk may be sent now. Chunks that were sent before the connection broke take no room: they have arrived,
-    /// or are lost.
     fn has_room(&self) -> bool {
-        let is_on_line = |sent: &&SentChunk| self.cut_at.is_none_or(|at| sent.at >= at);
-        self.phase == PeerPhase::Fetching
-            && self.in_flight.len() < self.window_max
-            && self.in_flight.iter().filter(is_on_line).count() < self.window
+        self.phase == PeerPhase::Fetching && self.in_flight.len() < self.window
     }
 
     /// Number of chunks that may be sent again.
@@ -206,7 +204,7 @@ impl Peer {
                 self.earn_resends(now);
                 self.resends.0 = self.resends.0.saturating_sub(1);
             }
-            let is_again = self.sent.contains(index);
+            let is_again = self.sent.contains(index) || self.lost.contains(index);
             self.sent.insert(index);
             self.sends += 1;
             self.wanted.remove(index);
@@ -262,10 +260,26 @@ impl Peer {
         self.poor >= 2 && is_taken
     }
 
-    /// Notes that the connection was lost, and is back. What was in flight counts as lost when the receiver next tells what
-    /// it has.
+    /// Notes that all that was on its way may have been lost, the offer too. The receiver must ask again before it gets more
+    /// chunks: it may be another one, which would drop them. What was in flight counts as lost then, unless it has arrived.
     pub(crate) fn on_cut(&mut self, now: Duration) {
         self.cut_at = Some(now);
+        if self.phase == PeerPhase::Fetching {
+            (self.phase, self.asked_at) = (PeerPhase::Silent, None);
+        }
+    }
+
+    /// Notes that a chunk was probably lost before it reached the broker. Returns false if it is not in flight.
+    pub(crate) fn on_lost_chunk(&mut self, index: u32) -> bool {
+        let before = self.in_flight.len();
+        self.in_flight.retain(|sent| sent.index != index);
+        let is_in_flight = self.in_flight.len() < before;
+        if is_in_flight {
+            self.sent.remove(index);
+            self.lost.insert(index);
+            self.wanted.insert(index);
+        }
+        is_in_flight
     }
 
     /// The chunks in flight that have arrived, as far as they were sent only once.
@@ -284,12 +298,6 @@ impl Peer {
         } else if waited > WINDOW_SLOW {
             self.window = (self.window / 2).max(self.window_min);
         }
-    }
-
-    /// Whether the receiver needs no offer after a break: it has asked for chunks just before, and some of them were never sent.
-    /// While those are being sent, it has time to tell which of the others it lacks.
-    pub(crate) fn is_supplied(&self, now: Duration) -> bool {
-        self.knows_offer(now) && self.wanted.first_outside(&self.sent).is_some()
     }
 
     /// Whether the receiver is fetching the model, and has asked for chunks just before.

@@ -34,6 +34,12 @@ pub enum TransportEvent {
     /// The connection is up (again), with all its subscriptions. Messages that were published earlier may be
     /// lost.
     Connected,
+    /// The connection is up again, and the broker has kept all that it had acknowledged. So of what was published earlier,
+    /// only the chunks under these topics may be lost; the transport sends the other messages again by itself.
+    Resumed {
+        /// The topics, in the order in which the chunks were published.
+        lost: Vec<String>,
+    },
     /// The connection was lost or could not be made. The transport keeps trying to connect.
     Disconnected {
         /// Number of failures since the last connection that lasted, from 1. The loss of the connection counts too.

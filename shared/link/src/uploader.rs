@@ -36,7 +36,10 @@ pub struct UploadProgress {
     pub chunks: u32,
     /// Number of chunks that the slowest required receiver is known to have; all if no receiver is required.
     pub chunks_received: u32,
-    /// Bytes of the topics and payloads of all messages published, including retries.
+    /// Bytes of the body in those chunks.
+    pub bytes_arrived: u64,
+    /// Bytes of the topics and payloads of all messages published, including retries, but without the chunks of which the
+    /// transport has told that they are lost.
     pub bytes_sent: u64,
 }
 
@@ -219,9 +222,12 @@ impl Uploader {
         let chunks = self.offer.header.chunks();
         let received =
             self.peers.iter().filter(|peer| peer.is_required).map(|peer| peer.chunks_received(chunks));
+        let chunks_received = received.min().unwrap_or(chunks);
+        let bytes_arrived = u64::from(chunks_received) * u64::from(self.offer.header.chunk_bytes);
         UploadProgress {
             chunks,
-            chunks_received: received.min().unwrap_or(chunks),
+            chunks_received,
+            bytes_arrived: bytes_arrived.min(self.offer.header.body_bytes),
             bytes_sent: self.bytes_sent,
         }
     }
@@ -247,16 +253,54 @@ impl Uploader {
         self.is_cleared && (self.is_stored() || self.peers.iter().any(is_number_refused))
     }
 
-    /// Repeats the offer, because the transport is connected (again), and the broker may have lost the offer and the chunks
-    /// that were on their way. Does not repeat it to an aggregator that asked for chunks just before, while some were never sent:
-    /// on a line of 5 kB/s that breaks each second, offers and the waits for their answers took a tenth of the time. If hardly
-    /// a chunk has got through twice in a row, chunks become smaller.
+    /// Repeats the offer, because the transport is connected, and the broker may have lost the offer and the chunks that were on
+    /// their way. If hardly a chunk has got through twice in a row, chunks become smaller.
     pub fn on_connected(&mut self, now: Duration) {
         self.peers.iter_mut().for_each(|peer| peer.on_cut(now));
-        let is_local = matches!(self.destination, Destination::Aggregator);
-        if !(is_local && self.peers.iter().all(|peer| peer.is_supplied(now))) {
+        self.announce_now(now);
+        self.on_any_connection(now);
+    }
+
+    /// Goes on, because the transport is connected again, and the broker has kept all but these chunks, which are sent again.
+    /// Those that the broker has are not: they may wait there for a receiver whose own line is slow. Repeats the offer, but not
+    /// to a single receiver that asked for chunks just before: on a line of 5 kB/s that breaks each second, offers and the waits
+    /// for their answers took a tenth of the time. If hardly a chunk has got through twice in a row, chunks become smaller.
+    pub fn on_resumed(&mut self, now: Duration, lost: &[Topic]) {
+        for (index, only) in lost.iter().filter_map(|topic| self.chunk_of(topic)).collect::<Vec<_>>() {
+            let its = self.peers.iter_mut().filter(|peer| only.is_none_or(|only| peer.device == only));
+            let lost = its.map(|peer| peer.on_lost_chunk(index)).filter(|is_lost| *is_lost).count();
+            let message = self.chunk_message(index, only).filter(|_| lost > 0);
+            self.bytes_sent -= message.map_or(0, |message| message.bytes() as u64).min(self.bytes_sent);
+        }
+        let has_one = !matches!(self.destination, Destination::Devices(_));
+        if !(has_one && self.peers.iter().all(|peer| peer.knows_offer(now))) {
             self.announce_now(now);
         }
+        self.on_any_connection(now);
+    }
+
+    /// The index of a chunk that was published under a topic, and its only receiver, if it has one. `None` if it is not a chunk
+    /// of this model.
+    fn chunk_of(&self, topic: &Topic) -> Option<(u32, Option<DeviceId>)> {
+        let ModelKey { device: of, model: its } = self.key();
+        match (self.destination, *topic) {
+            (Destination::Aggregator, Topic::LocalChunk { device, model, index }) => {
+                (device == of && model == its).then_some((index, None))
+            }
+            (Destination::Devices(to), Topic::GlobalChunk { tile, model, index }) => {
+                (tile == to && model == its).then_some((index, None))
+            }
+            (Destination::Devices(_), Topic::TileChunk { device, model, index }) => {
+                (model == its).then_some((index, Some(device)))
+            }
+            (Destination::Device(to), Topic::TileChunk { device, model, index }) => {
+                (device == to && model == its).then_some((index, Some(device)))
+            }
+            _ => None,
+        }
+    }
+
+    fn on_any_connection(&mut self, now: Duration) {
         let again_at = self.stored_offered_at.map_or(now, |last| now.max(last + STORED_AGAIN));
         self.offer_stored_at = self.offer_stored_at.map(|at| at.min(again_at));
         if let (Destination::Aggregator, [peer]) = (self.destination, &self.peers[..]) {
@@ -544,6 +588,11 @@ impl Uploader {
         if only.is_none() {
             self.broadcast.insert(index);
         }
+        self.chunk_message(index, only)
+    }
+
+    /// A chunk for all receivers, or only for one of several.
+    fn chunk_message(&self, index: u32, only: Option<DeviceId>) -> Option<Outgoing> {
         let header = &self.offer.header;
         let range = header.chunk_range(index)?;
         let payload = &self.offer.body[range.start as usize..range.end as usize];

@@ -108,46 +108,78 @@ fn an_old_request_brings_nothing_again() {
     assert_eq!(uploader.next(5 * S).as_ref(), first.first());
 }
 
+/// The topics of messages.
+fn topics(messages: &[Outgoing]) -> Vec<Topic> {
+    messages.iter().map(|message| Topic::parse(&message.topic).unwrap().1).collect()
+}
+
 /// What is sent after a break, before the receiver's answer, is on its way while the answer is.
 #[test]
 fn the_answer_after_a_break_does_not_repeat_what_has_just_been_sent() {
     let (mut uploader, mut inbox) = (Uploader::local(drone().site, model(40)), inbox());
     deliver(&mut inbox, S, &uploader.next(S).unwrap());
     answer(&mut inbox, &mut uploader, S);
-    // Lost with the connection.
     let lost: Vec<Outgoing> = (0..10).map(|_| uploader.next(S).unwrap()).collect();
-    uploader.on_connected(2 * S);
-    let early = uploader.next(2 * S).unwrap();
+    uploader.on_resumed(2 * S, &topics(&lost));
+    assert_eq!(uploader.next(2 * S).as_ref(), Some(&lost[0]));
     // The receiver asks again, as nothing has arrived.
     answer(&mut inbox, &mut uploader, 3 * S).expect("a request");
     let later: Vec<Outgoing> = std::iter::from_fn(|| uploader.next(3 * S)).collect();
-    assert_eq!(later[..10], lost);
-    assert!(!later.contains(&early));
+    assert_eq!(later[..9], lost[1..]);
+    assert!(!later.contains(&lost[0]));
 }
 
-/// On a slow line that breaks each second, an offer and the wait for its answer would take the time of chunks.
-#[test]
-fn after_a_break_chunks_go_on_without_an_offer_while_some_were_never_sent() {
+/// A drone with a window of chunks on their way, and those chunks.
+fn drone_with_a_window() -> (Uploader, Inbox, Vec<Outgoing>) {
     let model = offer("drone", 1, ModelKind::Local, 1, 120 * 640, 8192);
     let (mut uploader, mut inbox) = (Uploader::local(drone().site, model), inbox());
     deliver(&mut inbox, S, &uploader.next(S).unwrap());
     answer(&mut inbox, &mut uploader, S);
     let first: Vec<Outgoing> = std::iter::from_fn(|| uploader.next(S)).collect();
     assert_eq!(first.len(), 32, "a window");
-    // All but two are lost with the connection.
-    first[..2].iter().for_each(|message| assert_eq!(deliver(&mut inbox, S, message), None));
-    uploader.on_connected(2 * S);
-    let second: Vec<Outgoing> = std::iter::from_fn(|| uploader.next(2 * S)).collect();
-    assert_eq!(second.len(), 32, "a window for this connection");
-    assert!(second.iter().all(|message| message.is_chunk() && !first.contains(message)));
-    // Once all have been sent, there is an offer again: only the answer tells what is missing.
-    uploader.on_connected(3 * S);
-    while uploader.next(3 * S).is_some() {}
-    uploader.on_connected(4 * S);
-    while uploader.next(4 * S).is_some() {}
-    uploader.on_connected(5 * S);
-    let offer = uploader.next(5 * S).unwrap();
+    (uploader, inbox, first)
+}
+
+/// On a slow line that breaks each second, an offer and the wait for its answer would take the time of chunks.
+#[test]
+fn after_a_break_lost_chunks_are_sent_again_without_an_offer() {
+    let (mut uploader, _, first) = drone_with_a_window();
+    for tenth in 20..28 {
+        uploader.on_resumed(tenth * S / 10, &topics(&first[2..]));
+        let again: Vec<Outgoing> = std::iter::from_fn(|| uploader.next(tenth * S / 10)).collect();
+        assert_eq!(again, first[2..], "however often, as the line is to blame and not the receiver");
+    }
+    // A receiver that has not asked for so long may not know the offer any more.
+    uploader.on_resumed(6 * S, &[]);
+    let offer = uploader.next(6 * S).unwrap();
     assert!(matches!(Message::decode(&offer.payload), Ok(Message::Header(_))));
+}
+
+/// A broker with a slow line to the aggregator holds chunks that a drone with a fast line has sent. A drone that was cut off
+/// each second sent four times as many bytes as the model has.
+#[test]
+fn what_the_broker_holds_is_not_sent_again_after_a_break() {
+    let (mut uploader, mut inbox, first) = drone_with_a_window();
+    for (second, arrived) in [(4, 0..8), (7, 8..16)] {
+        uploader.on_resumed(second * S, &[]);
+        first[arrived].iter().for_each(|message| assert_eq!(deliver(&mut inbox, second * S, message), None));
+        answer(&mut inbox, &mut uploader, second * S).expect("it tells what has arrived");
+        let next: Vec<Outgoing> = std::iter::from_fn(|| uploader.next(second * S)).collect();
+        assert!(!next.is_empty() && next.iter().all(|message| !first.contains(message)));
+    }
+}
+
+/// An aggregator that was restarted with its broker drops all chunks until it has heard the offer.
+#[test]
+fn after_a_broker_that_has_lost_everything_chunks_wait_for_the_answer_to_the_offer() {
+    let (mut uploader, mut inbox, first) = drone_with_a_window();
+    uploader.on_connected(2 * S);
+    let offer = uploader.next(2 * S).unwrap();
+    assert_eq!(uploader.next(2 * S), None);
+    deliver(&mut inbox, 2 * S, &offer);
+    answer(&mut inbox, &mut uploader, 2 * S);
+    let again: Vec<Outgoing> = std::iter::from_fn(|| uploader.next(2 * S)).collect();
+    assert_eq!(again, first);
 }
 
 /// Sends a model in chunks of 2 KiB over a line of 30 kB/s that carries nothing for `stall`, a second after the start. Loses

@@ -98,7 +98,7 @@ class Rows {
     curve(cells.PSNR, points, status.psnr === null ? '–' : `${status.psnr.toFixed(1)} dB`);
     cells.splats.textContent = status.splats;
     cells.memory.textContent = status.memory_bytes ? bytes(status.memory_bytes) : '–';
-    const share = Math.min(100, Math.round((100 * status.bytes_sent) / status.bytes_total));
+    const share = Math.min(100, Math.round((100 * status.bytes_arrived) / status.bytes_total));
     if (status.bytes_total) bar(cells.sent, 'Upload', share, 100, `${share} % of ${bytes(status.bytes_total)}`);
     cells.left.textContent = status.seconds_left === null ? '–' : seconds(status.seconds_left);
   }

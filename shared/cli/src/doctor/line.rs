@@ -23,7 +23,9 @@ pub fn radio(name: &'static str, to: &str, transport: &mut impl Transport) -> Fi
     let end = Instant::now() + ANSWER_TIMEOUT;
     while let Some(left) = end.checked_duration_since(Instant::now()) {
         match transport.poll(left) {
-            Some(TransportEvent::Connected) => return Finding::ok(name, format!("{to}: connected")),
+            Some(TransportEvent::Connected | TransportEvent::Resumed { .. }) => {
+                return Finding::ok(name, format!("{to}: connected"));
+            }
             Some(TransportEvent::Disconnected { reason, .. } | TransportEvent::Denied { reason }) => {
                 return Finding::failed(name, reason);
             }

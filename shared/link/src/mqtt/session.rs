@@ -33,6 +33,12 @@ pub(super) struct Letter {
     pub(super) is_made_up_for: bool,
 }
 
+impl Letter {
+    pub(super) fn topic(&self) -> String {
+        String::from_utf8_lossy(&self.publish.topic).into_owned()
+    }
+}
+
 /// The unacknowledged messages, in the order in which they were sent.
 #[derive(Debug)]
 pub(super) struct InFlight {
@@ -109,6 +115,11 @@ impl InFlight {
             long if long > 2 * WAIT_WANTED => limit - limit / 4,
             _ => limit,
         };
+    }
+
+    /// The topics of the bulk messages, in the order in which they were sent.
+    pub(super) fn bulk_topics(&self) -> impl Iterator<Item = String> {
+        self.letters.iter().filter(|(letter, _)| letter.is_bulk).map(|(letter, _)| letter.topic())
     }
 
     /// Begins again after the connection was lost. Returns the messages that must be sent again: those that nothing else

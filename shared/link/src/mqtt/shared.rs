@@ -18,8 +18,10 @@ const QUEUE_MAX: usize = 16;
 /// What a client tells its caller.
 #[derive(Debug)]
 pub(super) enum ClientEvent {
-    /// The connection is up, with all its subscriptions.
+    /// The connection is up, with all its subscriptions. Messages sent earlier may be lost.
     Connected,
+    /// The connection is up again, and the broker has kept the session. The chunks under these topics may be lost.
+    Resumed { lost: Vec<String> },
     /// The connection was lost or could not be made, for this number of times since the last one that lasted.
     Disconnected { attempt: u32, reason: String },
     /// The broker does not take a message.
@@ -98,10 +100,11 @@ impl Shared {
         if may_send(queue.front()?) { queue.pop_front() } else { None }
     }
 
-    /// Drops the bulk that waits: the connection is lost, and whoever sent it will be asked again for what is missing.
-    pub(super) fn drop_bulk(&self) {
-        let dropped = self.queues().bulk.drain(..).count();
-        self.settle(dropped);
+    /// Drops the bulk that waits, because the connection is lost. Returns its topics.
+    pub(super) fn drop_bulk(&self) -> Vec<String> {
+        let dropped: Vec<String> = self.queues().bulk.drain(..).map(|letter| letter.topic()).collect();
+        self.settle(dropped.len());
+        dropped
     }
 
     /// Counts messages that are acknowledged or given up.

@@ -6,7 +6,7 @@ use std::net::{TcpListener, TcpStream};
 use std::sync::Arc;
 use std::sync::atomic::{AtomicU32, Ordering};
 
-use cosurf_wire::{DeviceId, SiteId, Topic};
+use cosurf_wire::{DeviceId, ModelId, SiteId, Topic};
 
 use super::*;
 use crate::identity::{Identity, Role};
@@ -207,7 +207,8 @@ fn a_client_that_is_soon_back_in_its_session_does_not_subscribe_again() {
             assert_eq!(kind >> 4, 8);
             stream.write_all(&[0x90, 5, body[0], body[1], 0, 1, 1]).unwrap();
         }
-        while transport.poll(Duration::from_secs(20)).expect("no connection") != TransportEvent::Connected {}
+        let is_up = |event| matches!(event, TransportEvent::Connected | TransportEvent::Resumed { .. });
+        while !is_up(transport.poll(Duration::from_secs(20)).expect("no connection")) {}
         published += 1;
         transport.publish(&state(published)).unwrap();
         let (kind, body) = read_packet(&mut stream).unwrap();
@@ -220,6 +221,44 @@ fn a_client_that_is_soon_back_in_its_session_does_not_subscribe_again() {
             // A broker that was restarted may have an older session, without them.
             assert_eq!(read_packet(&mut stream).unwrap().0 >> 4, 8, "after a while it subscribes again");
         }
+    }
+}
+
+/// The broker has what it acknowledged. Of the rest, a client tells which chunks may be lost, if the session was kept.
+#[test]
+fn a_client_that_is_back_in_its_session_tells_which_chunks_may_be_lost() {
+    let (site, device) = (SiteId::new("site").unwrap(), DeviceId::new("drone").unwrap());
+    let chunks = [0, 1, 2].map(|index| Topic::LocalChunk { device, model: ModelId(1), index }.to_text(&site));
+    let lost = chunks[1..].iter().map(|topic| topic.as_str().to_owned()).collect();
+    for (keeps_session, event) in
+        [(true, TransportEvent::Resumed { lost }), (false, TransportEvent::Connected)]
+    {
+        let (listener, mut transport) = drone();
+        let begin = |has_session: bool| {
+            let (mut stream, _) = listener.accept().unwrap();
+            assert_eq!(read_packet(&mut stream).unwrap().0 >> 4, 1);
+            stream.write_all(&[0x20, 3, has_session.into(), 0, 0]).unwrap();
+            if !has_session {
+                let (_, body) = read_packet(&mut stream).unwrap();
+                stream.write_all(&[0x90, 5, body[0], body[1], 0, 1, 1]).unwrap();
+            }
+            stream
+        };
+        let mut stream = begin(false);
+        assert_eq!(transport.poll(Duration::from_secs(20)), Some(TransportEvent::Connected));
+        for topic in chunks.clone() {
+            transport.publish(&Outgoing { topic, payload: vec![7], retain: false }).unwrap();
+        }
+        let (_, body) = read_packet(&mut stream).unwrap();
+        stream.write_all(&acknowledgement(&body)).unwrap();
+        while transport.client.acknowledged() == 0 {
+            std::thread::sleep(Duration::from_millis(1));
+        }
+        drop(stream);
+        let broken = transport.poll(Duration::from_secs(20));
+        assert!(matches!(broken, Some(TransportEvent::Disconnected { .. })), "{broken:?}");
+        let _stream = begin(keeps_session);
+        assert_eq!(transport.poll(Duration::from_secs(20)), Some(event));
     }
 }
 

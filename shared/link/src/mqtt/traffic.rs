@@ -151,11 +151,11 @@ impl Connection {
     /// Notes an event. Returns what is to be told: of attempts that fail alike, only the first.
     fn follow(&mut self, event: &ClientEvent) -> Option<ConnectionNews> {
         match (&*self, event) {
-            (Self::Never(_), ClientEvent::Connected) => {
+            (Self::Never(_), ClientEvent::Connected | ClientEvent::Resumed { .. }) => {
                 *self = Self::Up;
                 None
             }
-            (Self::Lost(_), ClientEvent::Connected) => {
+            (Self::Lost(_), ClientEvent::Connected | ClientEvent::Resumed { .. }) => {
                 *self = Self::Up;
                 Some(ConnectionNews::Back)
             }
@@ -180,7 +180,7 @@ impl Connection {
 /// and the caller `gives_up`.
 fn entry(event: ClientEvent, at: Duration, gives_up: bool) -> Result<Option<Entry>, TrafficError> {
     match event {
-        ClientEvent::Connected | ClientEvent::Denied { .. } => Ok(None),
+        ClientEvent::Connected | ClientEvent::Resumed { .. } | ClientEvent::Denied { .. } => Ok(None),
         ClientEvent::Message { topic, payload, qos, retain } => {
             Ok(Some(Entry { at, topic, qos: qos as u8, retain, payload }))
         }
@@ -225,7 +225,7 @@ impl Replay<'_> {
     /// Waits for this time. An error if the broker cannot be reached.
     fn listen(&mut self, time: Duration) -> Result<(), TrafficError> {
         let Some(event) = self.client.poll(time) else { return Ok(()) };
-        self.is_connected |= matches!(event, ClientEvent::Connected);
+        self.is_connected |= matches!(event, ClientEvent::Connected | ClientEvent::Resumed { .. });
         entry(event, Duration::ZERO, true).map(drop)
     }
 

@@ -66,6 +66,10 @@ pub(super) struct Worker {
     /// The last such pause; zero if the last connection had lasted.
     pause: Duration,
     is_dropping: bool,
+    /// Whether there was a connection before.
+    was_connected: bool,
+    /// Topics of the bulk messages that were dropped since the last connection was ready.
+    lost: Vec<String>,
     /// Number of the last connections that broke within a message before any message had arrived whole.
     fruitless: u32,
     /// When the subscriptions were last granted.
@@ -118,6 +122,8 @@ impl Worker {
             pauses: PAUSES,
             pause: Duration::ZERO,
             is_dropping: false,
+            was_connected: false,
+            lost: Vec::new(),
             fruitless: 0,
             granted: None,
             denied: BTreeSet::new(),
@@ -142,7 +148,8 @@ impl Worker {
 
     async fn keep_connected(&mut self) {
         while let Err(fault) = self.serve().await {
-            self.shared.drop_bulk();
+            let waiting = self.shared.drop_bulk();
+            self.lost.extend(waiting);
             self.attempt += 1;
             let fault = match self.broken_at_once {
                 times @ BROKEN_AT_ONCE.. => fault.after_breaks(times),
@@ -255,12 +262,14 @@ impl Worker {
         line.is_ready = true;
         self.denied.clear();
         let (before, now) = (self.in_flight.len(), Instant::now());
+        let lost = self.in_flight.bulk_topics().chain(std::mem::take(&mut self.lost)).collect();
         for message in self.in_flight.resume(line.has_session, line.in_flight_max, now) {
             line.connection.queue(&Packet::Publish(message.clone()));
         }
         self.shared.settle(before - self.in_flight.len());
         self.acknowledged = now;
-        self.deliver(ClientEvent::Connected).await;
+        let is_resumed = std::mem::replace(&mut self.was_connected, true) && line.has_session;
+        self.deliver(if is_resumed { ClientEvent::Resumed { lost } } else { ClientEvent::Connected }).await;
     }
 
     async fn on_packet(&mut self, packet: Packet, line: &mut Line) -> Result<(), Fault> {

@@ -24,14 +24,14 @@ impl Node {
     pub(super) fn receive(&mut self, event: TransportEvent) {
         match event {
             TransportEvent::Connected => {
-                self.is_connected = true;
-                self.birth = Some(self.identity.state_message(true));
-                self.is_flight_due = true;
                 let now = self.now;
-                self.asking.iter_mut().for_each(|asking| asking.on_connected(now));
                 self.uploaders.iter_mut().for_each(|uploader| uploader.on_connected(now));
-                self.inbox.on_connected(now);
-                self.events.push_back(NodeEvent::Connected);
+                self.on_connected();
+            }
+            TransportEvent::Resumed { lost } => {
+                let (now, lost) = (self.now, lost_chunks(&lost));
+                self.uploaders.iter_mut().for_each(|uploader| uploader.on_resumed(now, &lost));
+                self.on_connected();
             }
             TransportEvent::Disconnected { attempt, reason } => {
                 self.is_connected = false;
@@ -46,6 +46,16 @@ impl Node {
                 }
             }
         }
+    }
+
+    fn on_connected(&mut self) {
+        self.is_connected = true;
+        self.birth = Some(self.identity.state_message(true));
+        self.is_flight_due = true;
+        let now = self.now;
+        self.asking.iter_mut().for_each(|asking| asking.on_connected(now));
+        self.inbox.on_connected(now);
+        self.events.push_back(NodeEvent::Connected);
     }
 
     /// Handles one message. An error is the reason why the message is dropped.
@@ -281,4 +291,9 @@ fn source_of(topic: &Topic) -> Option<DeviceId> {
         | Topic::GlobalReply { device, .. } => Some(*device),
         Topic::GlobalHeader { .. } | Topic::GlobalChunk { .. } => None,
     }
+}
+
+/// The topics of lost chunks, all of which this node has published.
+fn lost_chunks(topics: &[String]) -> Vec<Topic> {
+    topics.iter().filter_map(|topic| Topic::parse(topic).ok()).map(|(_, topic)| topic).collect()
 }

@@ -81,6 +81,9 @@ impl Transport for Metered {
             Some(TransportEvent::Disconnected { reason, .. } | TransportEvent::Denied { reason }) => {
                 self.foreign_bytes -= reason.capacity() as isize
             }
+            Some(TransportEvent::Resumed { lost }) => {
+                self.foreign_bytes -= lost.iter().map(String::capacity).sum::<usize>() as isize;
+            }
             Some(TransportEvent::Connected) | None => {}
         }
         event
