@@ -28,7 +28,8 @@
 //! [`viewer`] stands below `report`: a model that people walk through in a browser. [`station`] serves it, and shows what
 //! services and missions note on its board.
 //! [`worker`] stands beside `service`: it distils tiles for merges on other computers. [`pki`] stands alone: it makes the
-//! keys of a site. `quiet` limits lines in the log, `colors` gives each device its colour.
+//! keys of a site. `quiet` limits lines in the log, `colors` gives each device its colour, `scratch` holds what does not fit into
+//! the memory.
 //!
 //! No module uses a module above it, and no file uses a file above it. If two files need the same type, it is in a
 //! third file below both.
@@ -48,6 +49,7 @@ pub mod pki;
 pub mod queue;
 mod quiet;
 pub mod report;
+mod scratch;
 pub mod service;
 pub mod station;
 pub mod store;

@@ -9,10 +9,10 @@ use std::time::Instant;
 use anyhow::{Result, bail, ensure};
 use clap::Args;
 use cosurf_aggregator::Meter;
-use cosurf_aggregator::mesh::{FuseSettings, Fused, decimate, mesh_file};
+use cosurf_aggregator::mesh::{FuseSettings, Fused, Scene, decimate, mesh_file, mesh_to_ply};
 use cosurf_contract::counted;
 use cosurf_scene::bytes::{format_bytes, parse_bytes};
-use cosurf_scene::{Dataset, LocalFrame, atomic, model, ply};
+use cosurf_scene::{Dataset, LocalFrame, Mesh, MeshCounts, atomic, model, ply};
 
 use super::arguments::parse_length;
 use super::host::display;
@@ -37,7 +37,8 @@ pub(crate) struct MeshArgs {
     #[arg(long, value_name = "M", value_parser = parse_length)]
     voxel: Option<f64>,
     /// Memory limit, for example 500MiB; with less, the model is read and the surface fused in several parts. If it is too
-    /// small for the mesh, voxels become larger, which a line on standard error reports
+    /// small for the mesh, voxels become larger, which a line on standard error reports. A .ply without --triangles needs the
+    /// least, because its triangles are in files without names beside it meanwhile
     #[arg(long, value_name = "BYTES", default_value = "2GiB", value_parser = parse_bytes)]
     memory: u64,
     /// Render pictures whose long side is at most this many pixels [default: the cameras' size]
@@ -67,27 +68,36 @@ pub(crate) fn run(args: &MeshArgs) -> Result<()> {
     let threads = available_parallelism().map_or(1, usize::from);
     let begun = Instant::now();
     let mut meter = Meter::new(display(args.json));
-    let fused = mesh_file(model, &frame, &cameras, args.max_size, &settings, threads, |event| {
+    let on_event = |event| {
         meter.show_fusion(event, begun.elapsed().as_secs_f64());
         ControlFlow::Continue(())
-    })?;
+    };
+    let scene = Scene { model, frame: &frame, cameras: &cameras, max_size_px: args.max_size };
+    let is_streamed = args.triangles.is_none() && args.out.extension().is_some_and(|kind| kind == "ply");
+    let fused = if is_streamed {
+        mesh_to_ply(&scene, &settings, threads, &args.out, on_event)?
+    } else {
+        let fused = mesh_file(&scene, &settings, threads, on_event)?.out_of_frame(&frame);
+        fused.try_map(|mesh| write(args, mesh))?
+    };
     meter.finish();
-    let mut fused = fused.out_of_frame(&frame);
-    if let Some(triangles) = args.triangles {
-        fused.mesh = decimate(fused.mesh, triangles as usize);
-        ensure!(
-            !fused.mesh.triangles.is_empty(),
-            "no surface is left with {triangles} triangles; ask for more"
-        );
-    }
-    fused.mesh.write(&args.out)?;
     print(args, &fused, begun.elapsed().as_secs_f64())
 }
 
-fn print(args: &MeshArgs, fused: &Fused, seconds: f64) -> Result<()> {
+/// Writes a mesh that is in memory, with as many triangles as are asked for.
+fn write(args: &MeshArgs, mut mesh: Mesh) -> Result<MeshCounts> {
+    if let Some(triangles) = args.triangles {
+        mesh = decimate(mesh, triangles as usize);
+        ensure!(!mesh.triangles.is_empty(), "no surface is left with {triangles} triangles; ask for more");
+    }
+    mesh.write(&args.out)?;
+    Ok(MeshCounts { vertices: mesh.positions.len() as u64, triangles: mesh.triangles.len() as u64 })
+}
+
+fn print(args: &MeshArgs, fused: &Fused<MeshCounts>, seconds: f64) -> Result<()> {
     let Fused { mesh, voxel_m, pixel_m, blocks, parts, peak_bytes } = fused;
     let mut stdout = io::stdout().lock();
-    let (vertices, triangles) = (mesh.positions.len(), mesh.triangles.len());
+    let MeshCounts { vertices, triangles } = *mesh;
     if args.json {
         let line = serde_json::json!({
             "event": "mesh", "vertices": vertices, "triangles": triangles, "voxel_m": voxel_m,
@@ -96,7 +106,7 @@ fn print(args: &MeshArgs, fused: &Fused, seconds: f64) -> Result<()> {
         writeln!(stdout, "{line}")?;
         return Ok(());
     }
-    let (triangles, blocks) = (counted(triangles, "triangle"), counted(*blocks, "block"));
+    let (triangles, blocks) = (counted(triangles as usize, "triangle"), counted(*blocks, "block"));
     writeln!(
         stdout,
         "{triangles}, {vertices} vertices in {seconds:.1} s · voxels of {voxel_m:.3} m, a pixel covers {pixel_m:.3} m · {blocks}, {}",

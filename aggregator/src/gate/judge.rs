@@ -20,9 +20,9 @@ use super::quality::{Detail, Differences, Standard};
 use super::sharpness::{Fine, Granted, Sharpness, Told, are_wide_enough, window};
 use super::tone::{Pairs, contrast};
 use crate::merge::cameras::{middle, radius};
-use crate::merge::scratch::{Record, Records};
 use crate::merge::shifts::Shifts;
 use crate::merge::{Locals, MergeError};
+use crate::scratch::{Record, Records};
 
 /// Largest accepted share of a model's splats that none of its own cameras sees. Trained models stay far below it.
 const UNSEEN_MAX: f64 = 0.5;

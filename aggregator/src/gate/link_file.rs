@@ -5,7 +5,7 @@ use std::path::Path;
 use cosurf_scene::SceneError;
 
 use super::adjust::Link;
-use crate::merge::scratch::{Record, Records};
+use crate::scratch::{Record, Records};
 
 /// Links in a file.
 #[derive(Debug)]

@@ -10,9 +10,9 @@ use serde::{Deserialize, Serialize};
 
 use super::matching::{Sight, is_well_seen, middle};
 use super::similarity::Similarity;
-use crate::merge::scratch::{Record, Records};
 use crate::merge::shifts::Shifts;
 use crate::merge::{Locals, MergeError};
+use crate::scratch::{Record, Records};
 
 /// Limit on the number of cameras of a model from which small pictures are rendered. If a model has more cameras, some
 /// are chosen evenly.

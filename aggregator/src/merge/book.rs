@@ -6,7 +6,7 @@ use cosurf_engine::{Lesson, distill};
 use cosurf_scene::SceneError;
 
 use super::crop::Part;
-use super::scratch::{Floats, Scratch};
+use crate::scratch::{Floats, Scratch};
 
 /// Numbers for each pixel: colour, depth, normal, trust.
 const CHANNELS: usize = 8;
@@ -25,7 +25,7 @@ pub(super) struct Book {
 impl Book {
     /// A book with room for `count` lessons.
     pub(super) fn new(scratch: &Scratch, count: usize) -> Result<Self, SceneError> {
-        Ok(Self { floats: scratch.floats()?, lessons: vec![None; count], depths: Vec::new() })
+        Ok(Self { floats: scratch.column()?, lessons: vec![None; count], depths: Vec::new() })
     }
 
     /// Writes a lesson. `trust` has 1 for each pixel whose surface is trusted, else 0.

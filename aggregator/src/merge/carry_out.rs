@@ -9,8 +9,8 @@ use super::computer::Computer;
 use super::error::MergeError;
 use super::learn::learn;
 use super::results;
-use super::scratch::Scratch;
 use super::task::{Task, name};
+use crate::scratch::Scratch;
 use crate::store::{ObjectError, Store};
 
 /// What became of a task.

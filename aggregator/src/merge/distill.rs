@@ -22,13 +22,13 @@ use super::memory::{STUDENT_SPLATS, at_once, beside_bytes, check_pictures, plann
 use super::news::{Learnt, Report};
 use super::plan::Plan;
 use super::results::{self, Found, TileRecord};
-use super::scratch::{Record, Records, Scratch};
 use super::settings::{MergeSettings, Tiles};
 use super::shifts::Shifts;
 use super::site::Site;
 use super::splat_file::SplatFile;
 use super::task::Task;
 use super::tiles::Tile;
+use crate::scratch::{Record, Records, Scratch};
 use crate::store::Store;
 
 /// Progress of a merge.

@@ -10,9 +10,9 @@ use tracing::debug_span;
 
 use super::computer::Computer;
 use super::error::MergeError;
-use super::scratch::Scratch;
 use super::task::Task;
 use super::teachers::write_book;
+use crate::scratch::Scratch;
 
 /// Epochs at the end of a distillation with lower learning rates.
 const COOLDOWN_EPOCHS: u32 = 2;

@@ -11,7 +11,7 @@ use tracing::info_span;
 use super::computer::Computer;
 use super::error::MergeError;
 use super::locals::Surveyed;
-use super::scratch::{Record, Records, Scratch};
+use crate::scratch::{Record, Records, Scratch};
 
 /// The observations of all models.
 #[derive(Debug)]

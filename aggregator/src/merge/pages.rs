@@ -5,7 +5,7 @@ use std::ops::Range;
 use cosurf_scene::{SceneError, Splats};
 use glam::DVec3;
 
-use super::scratch::{Floats, Scratch};
+use crate::scratch::{Floats, Scratch};
 
 /// Number of splats in a page.
 const PAGE: usize = 256;
@@ -83,7 +83,7 @@ pub(super) fn place(mean: [f32; 3]) -> DVec3 {
 impl Pages {
     /// No splats yet. Those to come have this degree of spherical harmonics.
     pub(super) fn new(scratch: &Scratch, sh_degree: u32) -> Result<Self, SceneError> {
-        Ok(Self { floats: scratch.floats()?, sh_degree, pages: Vec::new(), chapters: Vec::new() })
+        Ok(Self { floats: scratch.column()?, sh_degree, pages: Vec::new(), chapters: Vec::new() })
     }
 
     pub(super) fn sh_degree(&self) -> u32 {

@@ -11,7 +11,7 @@ use serde::{Deserialize, Serialize};
 
 use super::error::MergeError;
 use super::expected::Expected;
-use super::scratch::numbers;
+use crate::scratch::numbers;
 use crate::store::{ObjectError, Store};
 
 /// Places of the parts of a result: the hash of all that follows, the number of splats, their numbers.

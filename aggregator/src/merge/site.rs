@@ -10,8 +10,8 @@ use cosurf_scene::{Camera, SparsePoint, Splats};
 use super::error::MergeError;
 use super::observed::Observed;
 use super::pages::{Area, Pages, place};
-use super::scratch::Scratch;
 use super::tiles::{Map, Tile, vertical};
+use crate::scratch::Scratch;
 
 /// Limit on the splats of a model from which the median depths of its views are estimated.
 const PROBES: usize = 2000;

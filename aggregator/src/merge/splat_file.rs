@@ -2,7 +2,7 @@
 
 use cosurf_scene::{SceneError, Splats};
 
-use super::scratch::{Floats, Scratch};
+use crate::scratch::{Floats, Scratch};
 
 /// Splats in a file without a name.
 #[derive(Debug)]
@@ -16,7 +16,7 @@ pub struct SplatFile {
 impl SplatFile {
     /// No splats yet. Those to come have this degree of spherical harmonics.
     pub(super) fn new(scratch: &Scratch, sh_degree: u32) -> Result<Self, SceneError> {
-        Ok(Self { floats: scratch.floats()?, sh_degree, parts: Vec::new() })
+        Ok(Self { floats: scratch.column()?, sh_degree, parts: Vec::new() })
     }
 
     /// Appends a part. Returns its place among the parts.

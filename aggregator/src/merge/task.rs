@@ -16,9 +16,9 @@ use serde::{Deserialize, Serialize};
 use super::crop::Part;
 use super::error::MergeError;
 use super::plan::{Plan, ViewKey, touches};
-use super::scratch::{Floats, Scratch, numbers};
 use super::settings::MergeSettings;
 use super::site::Site;
+use crate::scratch::{Floats, Scratch, numbers};
 use crate::store::Store;
 use sizes::check_sizes;
 
@@ -85,7 +85,7 @@ impl Task {
         settings: &MergeSettings,
         device: &Device,
     ) -> Result<Self, MergeError> {
-        let mut writer = Writer { floats: site.scratch.floats()?, hasher: Hasher::new() };
+        let mut writer = Writer { floats: site.scratch.column()?, hasher: Hasher::new() };
         let (student, own) = plan.student(site)?;
         writer.write(&student)?;
         let student = student.len();
@@ -153,7 +153,7 @@ impl Task {
             return Err(MergeError::BadTask);
         }
         contents.check(device, memory_bytes)?;
-        let mut writer = Writer { floats: scratch.floats()?, hasher: Hasher::new() };
+        let mut writer = Writer { floats: scratch.column()?, hasher: Hasher::new() };
         for at in (first..bytes).step_by(PART_BYTES) {
             let part = read(at..bytes.min(at + PART_BYTES as u64))?;
             let (values, rest) = part.as_chunks();

@@ -14,8 +14,8 @@ use super::computer::Computer;
 use super::crop::Part;
 use super::error::MergeError;
 use super::memory::CACHE_BYTES;
-use super::scratch::Scratch;
 use super::task::{Task, Taught, Teaching};
+use crate::scratch::Scratch;
 
 /// A pixel whose surface a neighbouring camera sees is trusted only if its reprojection through that camera
 /// returns to within this distance of the pixel, px.

@@ -1,6 +1,6 @@
 //! Cleans a mesh after marching cubes: removes specks and computes normals.
 
-use cosurf_scene::Mesh;
+use cosurf_scene::{Mesh, MeshCounts};
 use glam::Vec3;
 
 /// A connected piece with fewer triangles than this is a speck. The smallest body that the fusion resolves is
@@ -8,49 +8,111 @@ use glam::Vec3;
 /// stay, because an aerial scene may have several.
 const TRIANGLES_MIN: u32 = 400;
 
-/// Removes small pieces and vertices without triangles; the rest keeps its order.
-pub(super) fn remove_specks(mesh: &mut Mesh) {
-    let mut parents: Vec<u32> = (0..mesh.positions.len() as u32).collect();
-    for &[a, b, c] in &mesh.triangles {
-        join(&mut parents, a, b);
-        join(&mut parents, b, c);
-    }
-    let mut triangles_of = vec![0u32; parents.len()];
-    for &[a, ..] in &mesh.triangles {
-        triangles_of[root(&mut parents, a) as usize] += 1;
-    }
-    // Moves the kept vertices to the front. After that, `renumber` turns `parents` into the new indices of
-    // the vertices.
-    let mut kept = 0;
-    for vertex in 0..parents.len() {
-        let piece = root(&mut parents, vertex as u32);
-        let stays = triangles_of[piece as usize] >= TRIANGLES_MIN;
-        mesh.positions[kept] = mesh.positions[vertex];
-        mesh.rgb[kept] = mesh.rgb[vertex];
-        if stays {
-            kept += 1;
-        }
-    }
-    renumber(mesh, &mut parents, &triangles_of);
-    mesh.positions.truncate(kept);
-    mesh.rgb.truncate(kept);
+/// The connected pieces of a mesh, as a union–find forest of its vertices. The root of a piece is its first vertex.
+pub(super) struct Pieces {
+    parents: Vec<u32>,
+    /// For the root of each piece, the number of its triangles.
+    triangles: Vec<u32>,
 }
 
-/// Removes the triangles of specks, and gives the other triangles the new indices of their vertices.
-/// Overwrites `parents` with the new indices.
-fn renumber(mesh: &mut Mesh, parents: &mut [u32], triangles_of: &[u32]) {
-    mesh.triangles.retain(|&[a, ..]| triangles_of[root(parents, a) as usize] >= TRIANGLES_MIN);
-    let stays: Vec<bool> = (0..parents.len() as u32)
-        .map(|vertex| triangles_of[root(parents, vertex) as usize] >= TRIANGLES_MIN)
-        .collect();
-    let mut next = 0;
-    for (new, stays) in parents.iter_mut().zip(stays) {
-        *new = next;
-        next += u32::from(stays);
+impl Pieces {
+    /// Bytes per vertex.
+    pub(super) const VERTEX_BYTES: u64 = 8;
+
+    /// Each of so many vertices is a piece.
+    pub(super) fn new(vertices: usize) -> Self {
+        Self { parents: (0..vertices as u32).collect(), triangles: vec![0; vertices] }
     }
-    for triangle in &mut mesh.triangles {
-        *triangle = triangle.map(|vertex| parents[vertex as usize]);
+
+    /// Joins the pieces that triangles connect.
+    pub(super) fn join(&mut self, triangles: &[[u32; 3]]) {
+        for &[a, b, c] in triangles {
+            join(&mut self.parents, a, b);
+            join(&mut self.parents, b, c);
+        }
     }
+
+    /// Counts triangles, after all were joined.
+    pub(super) fn count(&mut self, triangles: &[[u32; 3]]) {
+        for &[a, ..] in triangles {
+            self.triangles[root(&mut self.parents, a) as usize] += 1;
+        }
+    }
+
+    /// What is left without specks, after all triangles were counted.
+    pub(super) fn without_specks(self) -> Kept {
+        let Self { mut parents, triangles } = self;
+        // A parent comes before its children, so this makes every parent a root.
+        for vertex in 0..parents.len() {
+            parents[vertex] = parents[parents[vertex] as usize];
+        }
+        let stays = |root: u32| triangles[root as usize] >= TRIANGLES_MIN;
+        let vertices = parents.iter().filter(|root| stays(**root)).count();
+        let counts = MeshCounts {
+            vertices: vertices as u64,
+            triangles: triangles
+                .iter()
+                .filter(|&&count| count >= TRIANGLES_MIN)
+                .map(|&count| u64::from(count))
+                .sum(),
+        };
+        let mut next = vertices as u32;
+        for parent in parents.iter_mut().rev() {
+            next -= u32::from(stays(*parent));
+            *parent = if stays(*parent) { next } else { REMOVED };
+        }
+        Kept { indices: parents, counts }
+    }
+}
+
+/// Stands for the index of a vertex of a speck.
+const REMOVED: u32 = u32::MAX;
+
+/// What is left of a mesh without specks. All that is left keeps its order.
+pub(super) struct Kept {
+    /// For each vertex before, its index, or [`REMOVED`].
+    indices: Vec<u32>,
+    /// Number of vertices and triangles that are left.
+    pub(super) counts: MeshCounts,
+}
+
+impl Kept {
+    /// Whether a vertex is left.
+    pub(super) fn has(&self, vertex: usize) -> bool {
+        self.indices[vertex] != REMOVED
+    }
+
+    /// A triangle with the indices that its vertices have now; `None` if it belongs to a speck.
+    pub(super) fn triangle(&self, triangle: [u32; 3]) -> Option<[u32; 3]> {
+        let triangle = triangle.map(|vertex| self.indices[vertex as usize]);
+        (triangle[0] != REMOVED).then_some(triangle)
+    }
+
+    /// Removes what is not left from a list with one value for each vertex from `first` on.
+    pub(super) fn retain<T: Copy>(&self, first: usize, values: &mut Vec<T>) {
+        let mut vertex = first;
+        values.retain(|_| {
+            vertex += 1;
+            self.has(vertex - 1)
+        });
+    }
+}
+
+/// Removes small pieces and vertices without triangles; the rest keeps its order.
+pub(super) fn remove_specks(mesh: &mut Mesh) {
+    let mut pieces = Pieces::new(mesh.positions.len());
+    pieces.join(&mesh.triangles);
+    pieces.count(&mesh.triangles);
+    let kept = pieces.without_specks();
+    kept.retain(0, &mut mesh.positions);
+    kept.retain(0, &mut mesh.rgb);
+    mesh.triangles.retain_mut(|triangle| match kept.triangle(*triangle) {
+        Some(renumbered) => {
+            *triangle = renumbered;
+            true
+        }
+        None => false,
+    });
 }
 
 /// The root of a vertex's piece in the union–find forest `parents`. Shortens the path to it.
@@ -74,15 +136,26 @@ fn join(parents: &mut [u32], a: u32, b: u32) {
 pub(super) fn normals(mesh: &Mesh) -> Vec<[f32; 3]> {
     let mut normals = vec![[0.0; 3]; mesh.positions.len()];
     for (i, triangle) in mesh.triangles.iter().enumerate() {
-        let [a, b, c] = mesh.corners(i);
-        let normal = (b - a).cross(c - a);
+        let normal = area_normal(mesh.corners(i));
         for &vertex in triangle {
-            let sum = &mut normals[vertex as usize];
-            *sum = (Vec3::from_array(*sum) + normal).to_array();
+            add(&mut normals[vertex as usize], normal);
         }
     }
-    for normal in &mut normals {
-        *normal = Vec3::from_array(*normal).normalize_or_zero().to_array();
-    }
+    normals.iter_mut().for_each(normalize);
     normals
+}
+
+/// The normal of a triangle, as long as twice its area.
+pub(super) fn area_normal([a, b, c]: [Vec3; 3]) -> Vec3 {
+    (b - a).cross(c - a)
+}
+
+/// Adds the normal of a triangle to the sum at one of its vertices.
+pub(super) fn add(sum: &mut [f32; 3], normal: Vec3) {
+    *sum = (Vec3::from_array(*sum) + normal).to_array();
+}
+
+/// Makes a sum of normals a unit normal.
+pub(super) fn normalize(normal: &mut [f32; 3]) {
+    *normal = Vec3::from_array(*normal).normalize_or_zero().to_array();
 }

@@ -7,9 +7,9 @@ pub enum FuseEvent {
     Progress {
         /// The stage.
         stage: Stage,
-        /// Number of views done.
+        /// Number of views done; for [`Stage::Write`], of parts of the mesh.
         done: usize,
-        /// Number of views in all.
+        /// Number of views in all, or of parts.
         of: usize,
     },
     /// The memory is too small for voxels of the current size. The fusion starts over with larger voxels.
@@ -21,7 +21,7 @@ pub enum FuseEvent {
     },
 }
 
-/// The stages of a fusion that go through all views.
+/// The stages of a fusion.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Stage {
     /// Measures how far away the surface is.
@@ -30,4 +30,6 @@ pub enum Stage {
     Find,
     /// Fuses signed distances.
     Fuse,
+    /// Writes a mesh that is not in memory.
+    Write,
 }

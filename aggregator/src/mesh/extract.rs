@@ -1,9 +1,9 @@
 //! Marching cubes over the blocks, one volume after the other, each in two passes. The first pass counts vertices and
 //! triangles, so that the mesh grows once. The second pass writes the triangles of each block into the block's own range of
 //! the mesh. A triangle at the border of a volume has vertices in blocks of a later one; they are filled in then. So the mesh
-//! has the same bytes for any division into volumes.
+//! has the same bytes for any division into volumes. Its beginning may be moved out of the memory meanwhile.
 
-use cosurf_scene::Mesh;
+use cosurf_scene::{Mesh, MeshCounts};
 use glam::{DVec3, IVec3};
 use rayon::prelude::*;
 
@@ -16,6 +16,8 @@ const WIDE: usize = SIDE + 1;
 pub(super) const LAYOUT_BYTES: usize = size_of::<BlockLayout>() + 4 * 24;
 /// Bytes of a vertex: position, normal, colour, and work space for removing specks.
 const VERTEX_BYTES: u64 = 12 + 12 + 3 + 9;
+/// Bytes of a vertex that is moved out of the memory: position and colour.
+const MOVED_VERTEX_BYTES: u64 = 12 + 3;
 const TRIANGLE_BYTES: u64 = 12;
 
 /// What a block adds to the mesh. A vertex lies on an edge of the voxel grid that the surface crosses.
@@ -49,15 +51,15 @@ impl BlockLayout {
 pub(super) struct Layout {
     /// The first blocks of the volume; those after them only border on them.
     blocks: Vec<BlockLayout>,
-    /// Number of vertices of the mesh, with those of these blocks.
-    vertices: u64,
-    /// Number of triangles of the mesh, with those of these blocks.
-    triangles: u64,
+    /// Counts of the mesh without these blocks.
+    before: MeshCounts,
+    /// Counts of the mesh with these blocks.
+    pub(super) after: MeshCounts,
 }
 
 impl Layout {
-    /// Counts the vertices and triangles of the first `own` blocks, which follow those of `mesh`.
-    pub(super) fn new(volume: &Volume, own: usize, mesh: &Mesh) -> Self {
+    /// Counts the vertices and triangles of the first `own` blocks, which follow those of a mesh with the counts `before`.
+    pub(super) fn new(volume: &Volume, own: usize, before: MeshCounts) -> Self {
         let mut blocks = vec![BlockLayout::default(); own];
         let triangles: Vec<u32> = blocks
             .par_iter_mut()
@@ -70,41 +72,75 @@ impl Layout {
                 triangles
             })
             .collect();
-        let mut sums = (mesh.positions.len() as u64, mesh.triangles.len() as u64);
+        let mut after = before;
         for (block, triangles) in blocks.iter_mut().zip(&triangles) {
             // These casts may overflow, but `fits_indices` refuses such a large mesh before the indices are
             // used.
-            (block.first_vertex, block.first_triangle) = (sums.0 as u32, sums.1 as u32);
-            sums = (sums.0 + u64::from(block.vertices()), sums.1 + u64::from(*triangles));
+            (block.first_vertex, block.first_triangle) = (after.vertices as u32, after.triangles as u32);
+            after.vertices += u64::from(block.vertices());
+            after.triangles += u64::from(*triangles);
         }
-        Self { blocks, vertices: sums.0, triangles: sums.1 }
+        Self { blocks, before, after }
     }
 
     /// Index, in the mesh, of a vertex that an earlier volume asked for; `None` if its block is not among these.
-    fn vertex_of(&self, volume: &Volume, corner: &Pending) -> Option<u32> {
-        let block = self.blocks.get(volume.find(corner.block.block())?)?;
-        let [x, y, z, axis] = corner.edge.map(usize::from);
+    fn vertex_of(&self, volume: &Volume, block: &Key, edge: [u8; 4]) -> Option<u32> {
+        let block = self.blocks.get(volume.find(block.block())?)?;
+        let [x, y, z, axis] = edge.map(usize::from);
         Some(block.vertex([x, y, z], axis))
     }
 
-    /// Bytes of the layout, and of the mesh with these blocks.
+    /// Bytes of the layout, and of the mesh with these blocks, if all of it stays in memory.
     pub(super) fn bytes(&self) -> u64 {
+        let MeshCounts { vertices, triangles } = self.after;
+        self.own_bytes() + vertices * VERTEX_BYTES + triangles * TRIANGLE_BYTES
+    }
+
+    /// Bytes of the layout, and of what these blocks add to the mesh, if all before was moved out of the memory.
+    pub(super) fn moved_bytes(&self) -> u64 {
+        let more = self.more();
+        self.own_bytes() + more.vertices * MOVED_VERTEX_BYTES + more.triangles * TRIANGLE_BYTES
+    }
+
+    fn own_bytes(&self) -> u64 {
         (self.blocks.len() * LAYOUT_BYTES) as u64
-            + self.vertices * VERTEX_BYTES
-            + self.triangles * TRIANGLE_BYTES
+    }
+
+    /// Counts of what these blocks add to the mesh.
+    fn more(&self) -> MeshCounts {
+        MeshCounts {
+            vertices: self.after.vertices - self.before.vertices,
+            triangles: self.after.triangles - self.before.triangles,
+        }
     }
 
     /// Whether 32-bit indices suffice for all vertices and triangles.
     pub(super) fn fits_indices(&self) -> bool {
-        self.vertices.max(self.triangles) < u64::from(u32::MAX)
+        self.after.vertices.max(self.after.triangles) < u64::from(u32::MAX)
     }
 }
 
 /// A mesh that grows volume by volume, without normals. Some vertices may belong to no triangle.
 #[derive(Debug, Default)]
 pub(super) struct Extraction {
-    pub(super) mesh: Mesh,
+    /// The part in memory. Its triangles have the indices of the whole mesh.
+    mesh: Mesh,
+    /// Counts of what was moved out of the memory.
+    moved: MeshCounts,
     pending: Vec<Pending>,
+    /// Vertices of triangles that had been moved before.
+    late: Vec<LateCorner>,
+}
+
+/// The vertex of a triangle that was moved out of the memory before the vertex was there.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub(super) struct LateCorner {
+    /// Index of the triangle in the mesh.
+    pub(super) triangle: u32,
+    /// Index of the corner, 0..3.
+    pub(super) corner: u8,
+    /// Index of the vertex in the mesh.
+    pub(super) vertex: u32,
 }
 
 /// A corner of a triangle whose vertex belongs to a block of a later volume.
@@ -123,32 +159,50 @@ struct Pending {
 impl Extraction {
     /// Bytes of the notes about vertices of later volumes.
     pub(super) fn pending_bytes(&self) -> u64 {
-        (self.pending.capacity() * size_of::<Pending>()) as u64
+        (self.pending.capacity() * size_of::<Pending>() + self.late.capacity() * size_of::<LateCorner>())
+            as u64
+    }
+
+    /// Counts of the whole mesh so far.
+    pub(super) fn counts(&self) -> MeshCounts {
+        MeshCounts {
+            vertices: self.moved.vertices + self.mesh.positions.len() as u64,
+            triangles: self.moved.triangles + self.mesh.triangles.len() as u64,
+        }
+    }
+
+    /// Moves the part in memory out of it, with the vertices of triangles that were moved before.
+    pub(super) fn move_out(&mut self) -> (Mesh, Vec<LateCorner>) {
+        self.moved = self.counts();
+        (std::mem::take(&mut self.mesh), std::mem::take(&mut self.late))
     }
 
     /// Adds the blocks of a volume that `layout` has counted. They must follow those of all volumes before.
     pub(super) fn add(&mut self, volume: &Volume, layout: &Layout) {
-        let Self { mesh, pending } = self;
+        let Self { mesh, moved, pending, late } = self;
         let (vertices, triangles) = (mesh.positions.len(), mesh.triangles.len());
-        let (more_vertices, more_triangles) =
-            (layout.vertices as usize - vertices, layout.triangles as usize - triangles);
-        grow(&mut mesh.positions, more_vertices);
-        grow(&mut mesh.rgb, more_vertices);
-        grow(&mut mesh.triangles, more_triangles);
-        pending.retain(|corner| {
-            let vertex = layout.vertex_of(volume, corner);
+        let more = layout.more();
+        grow(&mut mesh.positions, more.vertices as usize);
+        grow(&mut mesh.rgb, more.vertices as usize);
+        grow(&mut mesh.triangles, more.triangles as usize);
+        pending.retain(|&Pending { triangle, corner, ref block, edge }| {
+            let vertex = layout.vertex_of(volume, block, edge);
             if let Some(vertex) = vertex {
-                mesh.triangles[corner.triangle as usize][usize::from(corner.corner)] = vertex;
+                match u64::from(triangle).checked_sub(moved.triangles) {
+                    Some(place) => mesh.triangles[place as usize][usize::from(corner)] = vertex,
+                    None => late.push(LateCorner { triangle, corner, vertex }),
+                }
             }
             vertex.is_none()
         });
-        let firsts = |of: fn(&BlockLayout) -> u32, before: usize| {
-            layout.blocks.iter().map(move |block| of(block) as usize - before)
+        let firsts = |of: fn(&BlockLayout) -> u32, before: u64| {
+            layout.blocks.iter().map(move |block| (u64::from(of(block)) - before) as usize)
         };
         let first_vertex = |block: &BlockLayout| block.first_vertex;
-        let positions = split(&mut mesh.positions[vertices..], firsts(first_vertex, vertices));
-        let rgb = split(&mut mesh.rgb[vertices..], firsts(first_vertex, vertices));
-        let own = split(&mut mesh.triangles[triangles..], firsts(|block| block.first_triangle, triangles));
+        let positions = split(&mut mesh.positions[vertices..], firsts(first_vertex, layout.before.vertices));
+        let rgb = split(&mut mesh.rgb[vertices..], firsts(first_vertex, layout.before.vertices));
+        let first_triangle = |block: &BlockLayout| block.first_triangle;
+        let own = split(&mut mesh.triangles[triangles..], firsts(first_triangle, layout.before.triangles));
         let outputs: Vec<_> = positions.into_iter().zip(rgb).zip(own).collect();
         let later =
             volume.keys().par_iter().zip(&layout.blocks).zip(outputs).flat_map_iter(|((key, block), out)| {

@@ -7,11 +7,11 @@ use cosurf_scene::{Camera, LocalFrame, Mesh};
 use tracing::debug_span;
 
 use super::budget::VolumeBudget;
-use super::clean;
 use super::error::MeshError;
 use super::event::{FuseEvent, Stage};
 use super::extract::{Extraction, Layout};
 use super::frame::Frame;
+use super::keeper::{InMemory, Keeper};
 use super::painter::Painter;
 use super::parts;
 use super::scout::{self, PixelSize};
@@ -32,10 +32,10 @@ pub struct FuseSettings {
 
 /// A fused surface.
 #[derive(Clone, Debug, PartialEq)]
-pub struct Fused {
+pub struct Fused<M = Mesh> {
     /// The mesh, with normals, colours and at least one triangle. Triangles are counter-clockwise as seen
     /// from outside.
-    pub mesh: Mesh,
+    pub mesh: M,
     /// Edge length of a voxel, world units.
     pub voxel_m: f64,
     /// Size of a pixel at the depth of the surface, world units; the median over the views.
@@ -51,9 +51,21 @@ pub struct Fused {
 impl Fused {
     /// Maps a surface that was fused in a local frame into the world.
     pub fn out_of_frame(self, frame: &LocalFrame) -> Self {
-        let unit = frame.unit();
-        let (voxel_m, pixel_m) = (self.voxel_m * unit, self.pixel_m * unit);
-        Self { mesh: self.mesh.out_of_frame(frame), voxel_m, pixel_m, ..self }
+        let fused = self.in_units(frame.unit());
+        Self { mesh: fused.mesh.out_of_frame(frame), ..fused }
+    }
+}
+
+impl<M> Fused<M> {
+    /// With lengths in other units, of which one of these has `unit`.
+    pub(super) fn in_units(self, unit: f64) -> Self {
+        Self { voxel_m: self.voxel_m * unit, pixel_m: self.pixel_m * unit, ..self }
+    }
+
+    /// With what is made of the mesh instead of it.
+    pub fn try_map<N, E>(self, make: impl FnOnce(M) -> Result<N, E>) -> Result<Fused<N>, E> {
+        let Self { mesh, voxel_m, pixel_m, blocks, parts, peak_bytes } = self;
+        Ok(Fused { mesh: make(mesh)?, voxel_m, pixel_m, blocks, parts, peak_bytes })
     }
 }
 
@@ -67,10 +79,21 @@ impl Fused {
 /// the mesh takes too much memory; how much memory there is changes nothing else. If `on_event` returns `Break`, the fusion ends with [`MeshError::Stopped`].
 pub fn fuse(
     cameras: &[Camera],
+    painter: impl Painter,
+    settings: &FuseSettings,
+    on_event: impl FnMut(FuseEvent) -> ControlFlow<()>,
+) -> Result<Fused, MeshError> {
+    fuse_into(&mut InMemory, cameras, painter, settings, on_event)
+}
+
+/// As [`fuse()`], with the mesh that `keeper` makes.
+pub(super) fn fuse_into<K: Keeper>(
+    keeper: &mut K,
+    cameras: &[Camera],
     mut painter: impl Painter,
     settings: &FuseSettings,
     mut on_event: impl FnMut(FuseEvent) -> ControlFlow<()>,
-) -> Result<Fused, MeshError> {
+) -> Result<Fused<K::Made>, MeshError> {
     let mut on_event = |event| match on_event(event) {
         ControlFlow::Continue(()) => Ok(()),
         ControlFlow::Break(()) => Err(MeshError::Stopped),
@@ -78,14 +101,14 @@ pub fn fuse(
     if cameras.is_empty() {
         return Err(MeshError::NoCameras);
     }
-    let budget = VolumeBudget::new(settings.memory_bytes, cameras);
+    let budget = VolumeBudget::new(settings.memory_bytes, cameras, K::BYTES);
     let pixel_m = scout::pixel_m(cameras, &mut painter, &mut on_event)?.ok_or(MeshError::NoSurface)?;
     let pixel = PixelSize { usual_m: pixel_m, most_m: scout::FARTHEST * pixel_m };
     let wanted_m = settings.voxel_m.unwrap_or(pixel_m);
     let mut voxel_m = wanted_m;
     loop {
         let stages = Stages { cameras, pixel, voxel_m, budget };
-        match stages.run(&mut painter, &mut on_event)? {
+        match stages.run(keeper, &mut painter, &mut on_event)? {
             Some(fused) => return Ok(fused),
             None => voxel_m *= COARSER,
         }
@@ -103,11 +126,12 @@ struct Stages<'a> {
 
 impl Stages<'_> {
     /// Runs all stages. Returns `None` if the mesh takes too much memory.
-    fn run(
+    fn run<K: Keeper>(
         &self,
+        keeper: &mut K,
         painter: &mut impl Painter,
         on_event: &mut impl FnMut(FuseEvent) -> Result<(), MeshError>,
-    ) -> Result<Option<Fused>, MeshError> {
+    ) -> Result<Option<Fused<K::Made>>, MeshError> {
         let Self { cameras, pixel, voxel_m, budget } = *self;
         let find = || scout::find_blocks(cameras, painter, pixel, voxel_m, budget.blocks_max, on_event);
         let Some(keys) = debug_span!("find_blocks", voxel_m).in_scope(find)? else {
@@ -117,6 +141,7 @@ impl Stages<'_> {
             return Err(MeshError::NoSurface);
         }
         let parts = parts::divide(&keys, budget.part_max(keys.len()));
+        keeper.begin()?;
         let (mut extraction, mut peak_bytes) = (Extraction::default(), 0);
         for (part, own) in parts.iter().enumerate() {
             let done = [part, parts.len()].map(|parts| parts * cameras.len());
@@ -125,20 +150,16 @@ impl Stages<'_> {
                 on_event(FuseEvent::Progress { stage: Stage::Fuse, done: done[0] + views, of: done[1] })
             })?;
             let _span = debug_span!("extract", blocks = own).entered();
-            let layout = Layout::new(&volume, own, &extraction.mesh);
-            let bytes = volume.bytes() + layout.bytes() + extraction.pending_bytes();
-            peak_bytes = bytes.max(peak_bytes);
-            if bytes > budget.volume_bytes || !layout.fits_indices() {
+            let layout = Layout::new(&volume, own, extraction.counts());
+            let bytes = volume.bytes() + K::made_bytes(&layout) + extraction.pending_bytes();
+            peak_bytes = bytes.max(K::end_bytes(&layout)).max(peak_bytes);
+            if peak_bytes > budget.volume_bytes || !layout.fits_indices() {
                 return Ok(None);
             }
             extraction.add(&volume, &layout);
+            keeper.keep(&mut extraction)?;
         }
-        let mut mesh = extraction.mesh;
-        clean::remove_specks(&mut mesh);
-        if mesh.triangles.is_empty() {
-            return Err(MeshError::NoAgreement);
-        }
-        mesh.normals = clean::normals(&mesh);
+        let mesh = keeper.finish(extraction, budget.volume_bytes, on_event)?;
         let (blocks, parts) = (keys.len(), parts.len());
         Ok(Some(Fused { mesh, voxel_m, pixel_m: pixel.usual_m, blocks, parts, peak_bytes }))
     }

@@ -3,34 +3,70 @@
 
 use std::collections::HashSet;
 use std::ops::ControlFlow;
-use std::path::PathBuf;
+use std::path::{Path, PathBuf};
 
 use cosurf_engine::{Place, Rendering, ViewError, ViewMemory, Views};
-use cosurf_scene::{Camera, LocalFrame, Pose};
+use cosurf_scene::{Camera, LocalFrame, MeshCounts, Pose};
 use glam::DVec2;
 use tracing::info_span;
 
 use super::budget;
 use super::error::MeshError;
 use super::event::FuseEvent;
-use super::fuse::{FuseSettings, Fused, fuse};
+use super::files::InFiles;
+use super::fuse::{FuseSettings, Fused, fuse_into};
+use super::keeper::{InMemory, Keeper};
 use super::painter::Painter;
 use super::scout::FIND_LEAST_PX;
 
-/// Renders the model in the PLY file `path`, moved into `frame`, from every camera, with a long side of at most `max_size_px`,
-/// and fuses the renderings into a mesh. `settings.memory_bytes` limits the whole process. The model need not fit into the
-/// memory; if the splats that a single picture shows do not fit, pictures shrink. Rendering uses `threads` (at least 1)
-/// threads; the fusion uses rayon's pool. If `on_event` returns `Break`, the result is [`MeshError::Stopped`].
+/// A splat model of which a mesh is made, and from where.
+#[derive(Clone, Debug)]
+pub struct Scene<'a> {
+    /// The PLY file of the model.
+    pub model: PathBuf,
+    /// The frame into which the model is moved. The mesh is in it.
+    pub frame: &'a LocalFrame,
+    /// The cameras from which the model is rendered, in the frame.
+    pub cameras: &'a [Camera],
+    /// The largest long side of a picture, px; `None` for the cameras' size.
+    pub max_size_px: Option<u32>,
+}
+
+/// Renders the model from every camera, and fuses the renderings into a mesh. `settings.memory_bytes` limits the whole process.
+/// The model need not fit into the memory; if the splats that a single picture shows do not fit, pictures shrink. Rendering uses
+/// `threads` (at least 1) threads; the fusion uses rayon's pool. If `on_event` returns `Break`, the result is
+/// [`MeshError::Stopped`].
 pub fn mesh_file(
-    path: PathBuf,
-    frame: &LocalFrame,
-    cameras: &[Camera],
-    max_size_px: Option<u32>,
+    scene: &Scene,
     settings: &FuseSettings,
     threads: usize,
     on_event: impl FnMut(FuseEvent) -> ControlFlow<()>,
 ) -> Result<Fused, MeshError> {
-    let mut views = open(path, frame, threads)?;
+    made(&mut InMemory, scene, settings, threads, on_event)
+}
+
+/// As [`mesh_file`], and writes the mesh as a PLY in the world, whose bytes are those of [`mesh_file`]'s mesh. The mesh need not
+/// fit into the memory; while it grows, it is in files without names beside `out`. The lengths of the result are in world units.
+pub fn mesh_to_ply(
+    scene: &Scene,
+    settings: &FuseSettings,
+    threads: usize,
+    out: &Path,
+    on_event: impl FnMut(FuseEvent) -> ControlFlow<()>,
+) -> Result<Fused<MeshCounts>, MeshError> {
+    let mut files = InFiles::new(out, scene.frame)?;
+    Ok(made(&mut files, scene, settings, threads, on_event)?.in_units(scene.frame.unit()))
+}
+
+fn made<K: Keeper>(
+    keeper: &mut K,
+    scene: &Scene,
+    settings: &FuseSettings,
+    threads: usize,
+    on_event: impl FnMut(FuseEvent) -> ControlFlow<()>,
+) -> Result<Fused<K::Made>, MeshError> {
+    let Scene { model, frame, cameras, max_size_px } = scene;
+    let mut views = open(model.clone(), frame, threads)?;
     let _span = info_span!("mesh", splats = views.splats()).entered();
     let max_size_px = max_size_px.unwrap_or(u32::MAX);
     let memory_bytes = settings.memory_bytes;
@@ -39,7 +75,7 @@ pub fn mesh_file(
     // With more memory for pictures, the file is read for more cameras at once.
     let pictures_bytes = pictures_bytes + (memory_bytes - pictures_bytes - fusion_bytes) / 2;
     let settings = FuseSettings { memory_bytes: memory_bytes - pictures_bytes, ..*settings };
-    fuse(&cameras, FilePainter(views.limited(pictures_bytes)), &settings, on_event)
+    fuse_into(keeper, &cameras, FilePainter(views.limited(pictures_bytes)), &settings, on_event)
 }
 
 /// Renders the model in the PLY file `path`, moved into `frame`, from every camera, each once, and calls `visit` with the

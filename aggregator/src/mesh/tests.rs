@@ -7,7 +7,7 @@ use std::collections::HashMap;
 use std::ops::ControlFlow;
 
 use cosurf_engine::Rendering;
-use cosurf_scene::{Camera, LocalFrame, Mesh, Pose, Splats, ply};
+use cosurf_scene::{Camera, LocalFrame, Mesh, MeshCounts, Pose, Splats, ply};
 use glam::{DVec2, DVec3, Vec3};
 
 use super::extract::Layout;
@@ -224,7 +224,7 @@ fn the_memory_limit_is_kept_by_larger_voxels() {
 fn a_volume_takes_the_bytes_that_it_reports() {
     let keys: Vec<_> = (0..100).filter_map(|x| volume::Key::new(glam::IVec3::new(x, 2, 3))).collect();
     let volume = Volume::new(keys, 0.1);
-    let layout = Layout::new(&volume, volume.keys().len(), &Mesh::default());
+    let layout = Layout::new(&volume, volume.keys().len(), MeshCounts::default());
     assert_eq!(volume.bytes() + layout.bytes(), 100 * budget::BLOCK_BYTES);
 }
 
@@ -327,7 +327,8 @@ fn splats_become_a_mesh_or_a_clear_error() {
         let folder = tempfile::tempdir().unwrap();
         let path = folder.path().join("model.ply");
         ply::write(&path, &splats, &LocalFrame::WORLD).unwrap();
-        mesh_file(path, &LocalFrame::WORLD, &above, Some(100), &settings(None, memory_bytes), 2, |_| GO)
+        let scene = Scene { model: path, frame: &LocalFrame::WORLD, cameras: &above, max_size_px: Some(100) };
+        mesh_file(&scene, &settings(None, memory_bytes), 2, |_| GO)
     };
     let mesh = mesh_of(wall(), 200 << 20).unwrap().mesh;
     let (_, mean) = offsets(&mesh, |p| p.z);
@@ -354,4 +355,57 @@ fn the_mesh_is_the_same_in_many_parts() {
         parts.push(divided.parts);
     }
     assert!(parts[0] > 1 && parts[1] > parts[0], "{parts:?}");
+}
+
+/// Goal: a mesh that grows in files has the same bytes, and fits where one in memory has larger voxels. Method: a box with memory
+/// in plenty, then with so little that the blocks are fused in many parts, and the file is made in several.
+#[test]
+fn a_mesh_that_grows_in_files_is_the_same_in_less_memory() {
+    let cameras = cameras(60, 160);
+    let look = |camera: &Camera| look(cuboid, camera);
+    let fused =
+        |memory_bytes| fuse(&cameras, look, &settings(Some(BOX_VOXEL_M), memory_bytes), |_| GO).unwrap();
+    let whole = fused(1 << 30);
+    let little_bytes = budget::frame_bytes(&cameras) + 1000 * whole.blocks as u64;
+    assert!(fused(little_bytes).voxel_m > BOX_VOXEL_M);
+    let folder = tempfile::tempdir().unwrap();
+    let [path, wanted] = ["mesh.ply", "wanted.ply"].map(|name| folder.path().join(name));
+    let frame = LocalFrame::of(cameras.iter());
+    whole.clone().out_of_frame(&frame).mesh.write_ply(&wanted).unwrap();
+    for (memory_bytes, is_in_parts) in [(1 << 30, false), (little_bytes, true)] {
+        let (mut parts, settings) = (0, settings(Some(BOX_VOXEL_M), memory_bytes));
+        let mut files = files::InFiles::new(&path, &frame).unwrap();
+        let fused = fuse::fuse_into(&mut files, &cameras, look, &settings, |event| {
+            parts += usize::from(matches!(event, FuseEvent::Progress { stage: Stage::Write, .. }));
+            GO
+        });
+        let fused = fused.unwrap();
+        assert!(std::fs::read(&path).unwrap() == std::fs::read(&wanted).unwrap(), "{memory_bytes} bytes");
+        assert_eq!((fused.voxel_m, fused.mesh.triangles), (BOX_VOXEL_M, whole.mesh.triangles.len() as u64));
+        assert!(fused.peak_bytes <= memory_bytes, "{} of {memory_bytes}", fused.peak_bytes);
+        assert_eq!([fused.parts > 1, parts > 1], [is_in_parts; 2], "{} and {parts} parts", fused.parts);
+    }
+    assert_eq!(std::fs::read_dir(folder.path()).unwrap().count(), 2, "nothing is left beside the meshes");
+}
+
+#[test]
+fn a_mesh_that_is_not_finished_leaves_the_file_that_was_there() {
+    let cameras = cameras(30, 96);
+    let folder = tempfile::tempdir().unwrap();
+    let path = folder.path().join("mesh.ply");
+    std::fs::write(&path, "before").unwrap();
+    let mut files = files::InFiles::new(&path, &LocalFrame::WORLD).unwrap();
+    let stopped = fuse::fuse_into(
+        &mut files,
+        &cameras,
+        |camera: &Camera| look(sphere, camera),
+        &settings(Some(0.1), 1 << 28),
+        |event| match event {
+            FuseEvent::Progress { stage: Stage::Write, .. } => ControlFlow::Break(()),
+            _ => GO,
+        },
+    );
+    assert!(matches!(stopped, Err(MeshError::Stopped)));
+    assert_eq!(std::fs::read(&path).unwrap(), b"before");
+    assert_eq!(std::fs::read_dir(folder.path()).unwrap().count(), 1);
 }

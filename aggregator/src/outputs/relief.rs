@@ -7,7 +7,7 @@ use std::path::Path;
 use cosurf_scene::files::is_full_disk;
 use cosurf_scene::{Camera, Caster, LocalFrame, Mesh, SceneError, check_space};
 
-use crate::mesh::{FuseEvent, FuseSettings, Fused, MeshError, mesh_file};
+use crate::mesh::{self, FuseEvent, FuseSettings, Fused, MeshError, mesh_file};
 use crate::report::MeshSummary;
 
 /// The part of the memory that is left for the caster, which is made while the mesh is there: without it, a mission of 100 MiB
@@ -35,7 +35,8 @@ pub(crate) fn relief(
     on_event: impl FnMut(FuseEvent) -> ControlFlow<()>,
 ) -> Result<Relief, SceneError> {
     let settings = FuseSettings { voxel_m: None, memory_bytes: memory_bytes - memory_bytes / CASTER_SHARE };
-    let fused = match mesh_file(model.to_owned(), frame, cameras, None, &settings, threads, on_event) {
+    let scene = mesh::Scene { model: model.to_owned(), frame, cameras, max_size_px: None };
+    let fused = match mesh_file(&scene, &settings, threads, on_event) {
         Ok(fused) => fused,
         Err(MeshError::Scene(error)) => return Err(error),
         Err(error) => return Ok(Relief::Missing(error)),

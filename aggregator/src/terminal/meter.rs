@@ -87,6 +87,7 @@ impl Meter {
                     Stage::Look => "measuring depths",
                     Stage::Find => "finding surfaces",
                     Stage::Fuse => "fusing",
+                    Stage::Write => "writing",
                 };
                 self.show(stage, done, of, now_s);
             }

@@ -76,7 +76,7 @@ pub use local_frame::{LocalFrame, ORIGIN_MAX, SCENE_SIZES};
 pub use lock::FolderLock;
 pub use mask::Mask;
 pub use mask_files::{is_of_masks, mask_of};
-pub use mesh::{Mesh, Texture};
+pub use mesh::{Mesh, MeshCounts, MeshWriter, Texture};
 pub use outline::Outline;
 pub use picture::{Picture, Shrinking};
 pub use raycast::{Cast, Caster};

@@ -14,6 +14,7 @@ use std::path::Path;
 
 use crate::SceneError;
 pub use data::Mesh;
+pub use ply::{MeshCounts, MeshWriter};
 pub use texture::Texture;
 
 impl Mesh {
@@ -46,6 +47,18 @@ impl Mesh {
     pub fn write_ply(&self, path: &Path) -> Result<(), SceneError> {
         self.assert_whole();
         ply::write(path, self)
+    }
+
+    /// As [`Mesh::write_ply`], for a mesh that need not be in memory as a whole. `fill` writes the vertices, part by part, and
+    /// then the triangles, as many as `counts` says; each part has the origin of `self`, and normals and colours where `self`
+    /// has some. So `self` may be any part of the mesh. The bytes are those of [`Mesh::write_ply`].
+    pub fn write_ply_parts<E: From<SceneError>>(
+        &self,
+        path: &Path,
+        counts: MeshCounts,
+        fill: impl FnOnce(&mut MeshWriter) -> Result<(), E>,
+    ) -> Result<(), E> {
+        ply::write_parts(path, self, counts, fill)
     }
 
     /// Writes a Wavefront OBJ in world coordinates, atomically. `comment` is its first line.

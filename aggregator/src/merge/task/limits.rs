@@ -115,9 +115,9 @@ mod tests {
 
     use super::super::super::carry_out::{CarriedOut, carry_out};
     use super::super::super::crop::Part;
-    use super::super::super::scratch::numbers;
     use super::super::{Taught, hashed, name};
     use super::*;
+    use crate::scratch::numbers;
     use crate::store::Store;
     use crate::testing::{above, ground};
 

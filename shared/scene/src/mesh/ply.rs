@@ -1,7 +1,8 @@
 //! Meshes as PLY: `x y z [nx ny nz] [red green blue]` and `property list uchar int vertex_indices`,
 //! which every mesh tool opens. Far from the world's origin, x, y and z are of the type `double`.
 
-use std::io::Write;
+use std::fs::File;
+use std::io::{self, BufWriter, Write};
 use std::path::Path;
 
 use glam::DVec3;
@@ -19,48 +20,113 @@ const ORIGIN_STEP: f64 = 1000.0;
 
 /// See [`Mesh::write_ply`].
 pub(super) fn write(path: &Path, mesh: &Mesh) -> Result<(), SceneError> {
-    let is_near = mesh.origin == DVec3::ZERO;
-    atomic::write(path, |out| {
-        out.write_all(header_of(mesh).as_bytes())?;
-        for (i, position) in mesh.positions.iter().enumerate() {
-            match is_near {
-                true => out.write_all(position.map(f32::to_le_bytes).as_flattened())?,
-                false => {
-                    let world = mesh.origin + DVec3::from_array(position.map(f64::from));
-                    out.write_all(world.to_array().map(f64::to_le_bytes).as_flattened())?;
-                }
-            }
-            if let Some(normal) = mesh.normals.get(i) {
-                out.write_all(normal.map(f32::to_le_bytes).as_flattened())?;
-            }
-            if let Some(rgb) = mesh.rgb.get(i) {
-                out.write_all(rgb)?;
-            }
-        }
-        for corners in &mesh.triangles {
-            out.write_all(&[3])?;
-            out.write_all(corners.map(u32::to_le_bytes).as_flattened())?;
-        }
-        Ok(())
+    let counts = MeshCounts { vertices: mesh.positions.len() as u64, triangles: mesh.triangles.len() as u64 };
+    write_parts(path, mesh, counts, |writer| {
+        writer.vertices(mesh)?;
+        writer.triangles(&mesh.triangles)
     })
 }
 
-fn header_of(mesh: &Mesh) -> String {
-    let vertices = mesh.positions.len();
+/// See [`Mesh::write_ply_parts`].
+pub(super) fn write_parts<E: From<SceneError>>(
+    path: &Path,
+    kind: &Mesh,
+    counts: MeshCounts,
+    fill: impl FnOnce(&mut MeshWriter) -> Result<(), E>,
+) -> Result<(), E> {
+    let mut failed = None;
+    let written = atomic::write(path, |out| {
+        out.write_all(header_of(kind, counts).as_bytes())?;
+        fill(&mut MeshWriter { out, path, least_bytes: least_bytes(kind, counts) }).map_err(|error| {
+            failed = Some(error);
+            io::ErrorKind::Other.into()
+        })
+    });
+    match failed {
+        Some(error) => Err(error),
+        None => Ok(written.map_err(|error| atomic::told(error, path, least_bytes(kind, counts)))?),
+    }
+}
+
+/// Size of the file of a mesh without its header, if its positions are of the type `float`.
+fn least_bytes(kind: &Mesh, MeshCounts { vertices, triangles }: MeshCounts) -> u64 {
+    let normal = if kind.normals.is_empty() { 0 } else { 12 };
+    let rgb = if kind.rgb.is_empty() { 0 } else { 3 };
+    vertices * (12 + normal + rgb) + triangles * (1 + 12)
+}
+
+/// How many vertices and triangles a mesh has.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
+pub struct MeshCounts {
+    /// Number of vertices.
+    pub vertices: u64,
+    /// Number of triangles.
+    pub triangles: u64,
+}
+
+/// Writes a mesh part by part: see [`Mesh::write_ply_parts`].
+pub struct MeshWriter<'a> {
+    out: &'a mut BufWriter<File>,
+    path: &'a Path,
+    least_bytes: u64,
+}
+
+impl MeshWriter<'_> {
+    /// Writes the vertices of `part`, which follow those written before. Its triangles are ignored.
+    pub fn vertices(&mut self, part: &Mesh) -> Result<(), SceneError> {
+        let written = write_vertices(self.out, part);
+        written.map_err(|cause| self.failed(cause))
+    }
+
+    /// Writes triangles, with the indices of their vertices in the whole mesh. All vertices must be written before.
+    pub fn triangles(&mut self, triangles: &[[u32; 3]]) -> Result<(), SceneError> {
+        let mut write = |corners: &[u32; 3]| {
+            self.out.write_all(&[3])?;
+            self.out.write_all(corners.map(u32::to_le_bytes).as_flattened())
+        };
+        triangles.iter().try_for_each(&mut write).map_err(|cause| self.failed(cause))
+    }
+
+    fn failed(&self, cause: io::Error) -> SceneError {
+        atomic::told(SceneError::io(self.path, cause), self.path, self.least_bytes)
+    }
+}
+
+fn write_vertices(out: &mut impl Write, part: &Mesh) -> io::Result<()> {
+    let is_near = part.origin == DVec3::ZERO;
+    for (i, position) in part.positions.iter().enumerate() {
+        match is_near {
+            true => out.write_all(position.map(f32::to_le_bytes).as_flattened())?,
+            false => {
+                let world = part.origin + DVec3::from_array(position.map(f64::from));
+                out.write_all(world.to_array().map(f64::to_le_bytes).as_flattened())?;
+            }
+        }
+        if let Some(normal) = part.normals.get(i) {
+            out.write_all(normal.map(f32::to_le_bytes).as_flattened())?;
+        }
+        if let Some(rgb) = part.rgb.get(i) {
+            out.write_all(rgb)?;
+        }
+    }
+    Ok(())
+}
+
+/// The header of the file of a mesh with these counts, and with the origin and the properties of vertices of `kind`.
+fn header_of(kind: &Mesh, MeshCounts { vertices, triangles }: MeshCounts) -> String {
     let mut text = format!("ply\nformat binary_little_endian 1.0\nelement vertex {vertices}\n");
     let mut declare = |kind: &str, names: [&str; 3]| {
         names.iter().for_each(|name| text += &format!("property {kind} {name}\n"));
     };
-    declare(if mesh.origin == DVec3::ZERO { "float" } else { "double" }, ["x", "y", "z"]);
-    if !mesh.normals.is_empty() {
+    declare(if kind.origin == DVec3::ZERO { "float" } else { "double" }, ["x", "y", "z"]);
+    if !kind.normals.is_empty() {
         declare("float", ["nx", "ny", "nz"]);
     }
-    if !mesh.rgb.is_empty() {
+    if !kind.rgb.is_empty() {
         declare("uchar", ["red", "green", "blue"]);
     }
-    if !mesh.triangles.is_empty() {
-        let faces = mesh.triangles.len();
-        text += &format!("element face {faces}\nproperty list uchar int vertex_indices\n");
+    if triangles > 0 {
+        text += &format!("element face {triangles}\nproperty list uchar int vertex_indices\n");
     }
     text + "end_header\n"
 }

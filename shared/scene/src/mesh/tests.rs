@@ -45,6 +45,38 @@ fn meshes_and_clouds_survive_the_round_trip() {
     }
 }
 
+#[test]
+fn a_mesh_in_parts_gives_the_same_file() {
+    let folder = tempfile::tempdir().unwrap();
+    let path = folder.path().join("a.ply");
+    let far = Mesh { origin: DVec3::new(500_000.0, 5_200_000.0, 0.0), ..corner() };
+    let bare = Mesh { normals: Vec::new(), rgb: Vec::new(), ..corner() };
+    for mesh in [corner(), far, bare] {
+        let part = |range: std::ops::Range<usize>| Mesh {
+            positions: mesh.positions[range.clone()].to_vec(),
+            normals: mesh.normals.get(range.clone()).unwrap_or_default().to_vec(),
+            rgb: mesh.rgb.get(range).unwrap_or_default().to_vec(),
+            triangles: Vec::new(),
+            ..mesh
+        };
+        let written_in_parts =
+            part(0..1).write_ply_parts(&path, MeshCounts { vertices: 4, triangles: 3 }, |ply| {
+                ply.vertices(&part(0..3))?;
+                ply.vertices(&part(3..4))?;
+                ply.triangles(&mesh.triangles[..1])?;
+                ply.triangles(&mesh.triangles[1..])
+            });
+        written_in_parts.map_err(|error: SceneError| error).unwrap();
+        assert_eq!(fs::read(&path).unwrap(), written(&mesh, "b.ply"));
+        assert_eq!(Mesh::read(&path).unwrap(), mesh);
+    }
+    let nothing = corner().write_ply_parts(&path, MeshCounts::default(), |_| {
+        Err(SceneError::malformed(&folder.path().join("other"), "is not there"))
+    });
+    assert!(nothing.unwrap_err().to_string().contains("other"), "the error is that of the parts");
+    assert!(path.exists() && fs::read_dir(folder.path()).unwrap().count() == 1, "the file before stays");
+}
+
 /// By the specification of Wavefront, vertices are counted from 1, and a face names vertex and normal.
 #[test]
 fn an_obj_is_text_with_positions_colours_normals_and_faces() {

@@ -1,28 +1,34 @@
-//! Files for what a merge does not keep in memory. They have no names, so nothing is left of them, however the program
+//! Files for what a merge or a mesh does not keep in memory. They have no names, so nothing is left of them, however the program
 //! ends.
 
 use std::fs::File;
 use std::io::{self, Read, Seek, SeekFrom, Write};
+use std::marker::PhantomData;
 use std::path::{Path, PathBuf};
 use std::sync::{Mutex, PoisonError};
 
+use bytemuck::Pod;
 use cosurf_scene::files::{self, is_full_disk};
 use cosurf_scene::{SceneError, Splats, check_space};
 use serde::Serialize;
 use serde::de::DeserializeOwned;
 
-/// The folder in which a merge makes its files.
+/// The folder in which the files are made.
 #[derive(Clone, Debug)]
-pub(super) struct Scratch(PathBuf);
+pub(crate) struct Scratch(PathBuf);
 
-/// A file of `f32` numbers. Several threads may read it.
+/// A file of values of one type, all of the same size. Several threads may read it.
 #[derive(Debug)]
-pub(super) struct Floats {
+pub(crate) struct Column<T> {
     file: Mutex<File>,
     folder: PathBuf,
-    /// Number of numbers.
+    /// Number of values.
     len: u64,
+    of: PhantomData<T>,
 }
+
+/// A file of numbers.
+pub(crate) type Floats = Column<f32>;
 
 /// A file of encoded values of any kind. Several threads may read it.
 #[derive(Debug)]
@@ -73,18 +79,18 @@ impl Records {
 
 impl Scratch {
     /// Makes files in `folder`, which is made if it is missing.
-    pub(super) fn new(folder: &Path) -> Result<Self, SceneError> {
+    pub(crate) fn new(folder: &Path) -> Result<Self, SceneError> {
         files::create_folder(folder)?;
         Ok(Self(folder.to_owned()))
     }
 
-    /// An empty file of numbers.
-    pub(super) fn floats(&self) -> Result<Floats, SceneError> {
-        Ok(Floats { file: self.file()?, folder: self.0.clone(), len: 0 })
+    /// An empty file of values.
+    pub(crate) fn column<T: Pod>(&self) -> Result<Column<T>, SceneError> {
+        Ok(Column { file: self.file()?, folder: self.0.clone(), len: 0, of: PhantomData })
     }
 
     /// An empty file of records.
-    pub(super) fn records(&self) -> Result<Records, SceneError> {
+    pub(crate) fn records(&self) -> Result<Records, SceneError> {
         Ok(Records { file: self.file()?, folder: self.0.clone(), bytes: 0 })
     }
 
@@ -93,35 +99,58 @@ impl Scratch {
     }
 }
 
-impl Floats {
-    /// Number of numbers.
-    pub(super) fn len(&self) -> u64 {
+impl<T: Pod> Column<T> {
+    /// Number of values.
+    pub(crate) fn len(&self) -> u64 {
         self.len
     }
 
-    /// Appends numbers. Returns the place of the first one.
-    pub(super) fn append(&mut self, values: &[f32]) -> Result<u64, SceneError> {
+    /// Appends values. Returns the place of the first one.
+    pub(crate) fn append(&mut self, values: &[T]) -> Result<u64, SceneError> {
+        let held_bytes = self.len * size_of::<T>() as u64;
         let file = self.file.get_mut().unwrap_or_else(PoisonError::into_inner);
         let write = |file: &mut File| {
-            file.seek(SeekFrom::Start(4 * self.len))?;
+            file.seek(SeekFrom::Start(held_bytes))?;
             file.write_all(bytemuck::cast_slice(values))
         };
         let bytes = size_of_val(values);
-        write(file).map_err(|cause| not_written(&self.folder, cause, 4 * self.len, bytes))?;
+        write(file).map_err(|cause| not_written(&self.folder, cause, held_bytes, bytes))?;
         let at = self.len;
         self.len += values.len() as u64;
         Ok(at)
     }
 
+    /// Fills `values` with those from the place `at` on.
+    pub(crate) fn read(&self, at: u64, values: &mut [T]) -> Result<(), SceneError> {
+        let mut read = || -> io::Result<()> {
+            let mut file = self.file.lock().unwrap_or_else(PoisonError::into_inner);
+            file.seek(SeekFrom::Start(at * size_of::<T>() as u64))?;
+            file.read_exact(bytemuck::cast_slice_mut(values))
+        };
+        read().map_err(|cause| SceneError::io(&self.folder, cause))
+    }
+
+    /// Replaces the value at the place `at`.
+    pub(crate) fn set(&mut self, at: u64, value: T) -> Result<(), SceneError> {
+        let file = self.file.get_mut().unwrap_or_else(PoisonError::into_inner);
+        let write = |file: &mut File| {
+            file.seek(SeekFrom::Start(at * size_of::<T>() as u64))?;
+            file.write_all(bytemuck::bytes_of(&value))
+        };
+        write(file).map_err(|cause| SceneError::io(&self.folder, cause))
+    }
+}
+
+impl Floats {
     /// Appends splats. Returns their place.
-    pub(super) fn append_splats(&mut self, splats: &Splats) -> Result<u64, SceneError> {
+    pub(crate) fn append_splats(&mut self, splats: &Splats) -> Result<u64, SceneError> {
         let at = self.len;
         numbers(splats).into_iter().try_for_each(|values| self.append(values).map(|_| ()))?;
         Ok(at)
     }
 
     /// Appends to `splats` those at the place `at`, of the same degree of spherical harmonics.
-    pub(super) fn read_splats(&self, at: u64, count: usize, splats: &mut Splats) -> Result<(), SceneError> {
+    pub(crate) fn read_splats(&self, at: u64, count: usize, splats: &mut Splats) -> Result<(), SceneError> {
         let (sh_stride, before) = (splats.sh_stride(), splats.len());
         let all = before + count;
         splats.means.resize(all, [0.0; 3]);
@@ -141,20 +170,10 @@ impl Floats {
         fill(&mut splats.opacity_logits[before..])?;
         fill(&mut splats.sh[before * sh_stride..])
     }
-
-    /// Fills `values` with the numbers from the place `at` on.
-    pub(super) fn read(&self, at: u64, values: &mut [f32]) -> Result<(), SceneError> {
-        let mut read = || -> io::Result<()> {
-            let mut file = self.file.lock().unwrap_or_else(PoisonError::into_inner);
-            file.seek(SeekFrom::Start(4 * at))?;
-            file.read_exact(bytemuck::cast_slice_mut(values))
-        };
-        read().map_err(|cause| SceneError::io(&self.folder, cause))
-    }
 }
 
-/// The error of a write of so many bytes to a file that has `held_bytes`. Those count as free and as needed: once the merge has
-/// failed they are free, and the next one needs them again.
+/// The error of a write of so many bytes to a file that has `held_bytes`. Those count as free and as needed: once the work has
+/// failed they are free, and the next attempt needs them again.
 fn not_written(folder: &Path, cause: io::Error, held_bytes: u64, bytes: usize) -> SceneError {
     let error = SceneError::io(folder, cause);
     if !is_full_disk(&error) {
@@ -171,7 +190,7 @@ fn not_written(folder: &Path, cause: io::Error, held_bytes: u64, bytes: usize) -
 }
 
 /// All numbers of splats.
-pub(super) fn numbers(splats: &Splats) -> [&[f32]; 5] {
+pub(crate) fn numbers(splats: &Splats) -> [&[f32]; 5] {
     let Splats { means, quats, log_scales, opacity_logits, sh, .. } = splats;
     [means.as_flattened(), quats.as_flattened(), log_scales.as_flattened(), opacity_logits, sh]
 }
@@ -185,7 +204,7 @@ mod tests {
     #[test]
     fn splats_come_back() {
         let folder = tempfile::tempdir().unwrap();
-        let mut floats = Scratch::new(folder.path()).unwrap().floats().unwrap();
+        let mut floats: Floats = Scratch::new(folder.path()).unwrap().column().unwrap();
         let [one, two] = [ground(0.0, 2.0), ground(5.0, 6.0)];
         let places = [&one, &two].map(|splats| floats.append_splats(splats).unwrap());
         let mut read = Splats::with_capacity(0, 0);
@@ -227,11 +246,14 @@ mod tests {
     fn numbers_come_back_and_no_file_is_left() {
         let folder = tempfile::tempdir().unwrap();
         let scratch = Scratch::new(&folder.path().join("made")).unwrap();
-        let mut floats = scratch.floats().unwrap();
+        let mut floats: Floats = scratch.column().unwrap();
         assert_eq!([floats.append(&[1.0, 2.0]).unwrap(), floats.append(&[3.0]).unwrap()], [0, 2]);
         let mut values = [0.0; 2];
         floats.read(1, &mut values).unwrap();
         assert_eq!(values, [2.0, 3.0]);
+        floats.set(1, 5.0).unwrap();
+        floats.read(1, &mut values).unwrap();
+        assert_eq!(values, [5.0, 3.0]);
         let error = floats.read(2, &mut values).unwrap_err().to_string();
         assert!(error.contains("made"), "{error}");
         assert_eq!(std::fs::read_dir(folder.path().join("made")).unwrap().count(), 0);
