@@ -105,9 +105,14 @@ impl<T: Pod> Column<T> {
         self.len
     }
 
+    /// Bytes of the file.
+    pub(crate) fn bytes(&self) -> u64 {
+        self.len * size_of::<T>() as u64
+    }
+
     /// Appends values. Returns the place of the first one.
     pub(crate) fn append(&mut self, values: &[T]) -> Result<u64, SceneError> {
-        let held_bytes = self.len * size_of::<T>() as u64;
+        let held_bytes = self.bytes();
         let file = self.file.get_mut().unwrap_or_else(PoisonError::into_inner);
         let write = |file: &mut File| {
             file.seek(SeekFrom::Start(held_bytes))?;
@@ -175,17 +180,26 @@ impl Floats {
 /// The error of a write of so many bytes to a file that has `held_bytes`. Those count as free and as needed: once the work has
 /// failed they are free, and the next attempt needs them again.
 fn not_written(folder: &Path, cause: io::Error, held_bytes: u64, bytes: usize) -> SceneError {
-    let error = SceneError::io(folder, cause);
-    if !is_full_disk(&error) {
-        return error;
+    beside(told(folder, SceneError::io(folder, cause), bytes as u64), held_bytes)
+}
+
+/// An error of writing so many bytes into `folder`. That of a full disk tells how much is free.
+pub(crate) fn told(folder: &Path, error: SceneError, bytes: u64) -> SceneError {
+    match is_full_disk(&error) {
+        true => check_space(folder, bytes).err().unwrap_or(error),
+        false => error,
     }
-    match check_space(folder, bytes as u64) {
-        Err(SceneError::DiskFull { folder, free_bytes, needed_bytes }) => SceneError::DiskFull {
+}
+
+/// The error with the bytes of other files that the failed work had: see [`not_written`].
+pub(crate) fn beside(error: SceneError, held_bytes: u64) -> SceneError {
+    match error {
+        SceneError::DiskFull { folder, free_bytes, needed_bytes } => SceneError::DiskFull {
             folder,
             free_bytes: free_bytes.saturating_add(held_bytes),
             needed_bytes: needed_bytes.saturating_add(held_bytes),
         },
-        _ => error,
+        error => error,
     }
 }
 

@@ -13,7 +13,7 @@ use super::error::MeshError;
 use super::event::{FuseEvent, Stage};
 use super::extract::{Extraction, LateCorner, Layout};
 use super::keeper::Keeper;
-use crate::scratch::{Column, Scratch};
+use crate::scratch::{Column, Scratch, beside, told};
 
 /// Triangles that are read at once.
 const TRIANGLES_AT_ONCE: usize = 1 << 13;
@@ -30,6 +30,8 @@ pub(super) struct InFiles<'a> {
     out: &'a Path,
     /// The frame that the mesh is in. The PLY is in the world.
     frame: &'a LocalFrame,
+    /// The folder of both.
+    folder: PathBuf,
     scratch: Scratch,
     grown: Columns,
 }
@@ -44,10 +46,11 @@ struct Columns {
 impl<'a> InFiles<'a> {
     /// Nothing is kept yet.
     pub(super) fn new(out: &'a Path, frame: &'a LocalFrame) -> Result<Self, SceneError> {
-        let beside = out.parent().filter(|folder| !folder.as_os_str().is_empty());
-        let scratch = Scratch::new(&beside.map_or(PathBuf::from("."), Path::to_path_buf))?;
+        let folder = out.parent().filter(|folder| !folder.as_os_str().is_empty());
+        let folder = folder.map_or(PathBuf::from("."), Path::to_path_buf);
+        let scratch = Scratch::new(&folder)?;
         let grown = Columns::new(&scratch)?;
-        Ok(Self { out, frame, scratch, grown })
+        Ok(Self { out, frame, folder, scratch, grown })
     }
 }
 
@@ -88,7 +91,7 @@ impl Keeper for InFiles<'_> {
         let parts = parts_of(vertices, (left_bytes / VERTEX_BYTES).max(VERTICES_LEAST));
         let kind =
             Mesh { normals: vec![[0.0; 3]], rgb: vec![[0; 3]], ..Mesh::default() }.out_of_frame(self.frame);
-        kind.write_ply_parts(self.out, kept.counts, |ply| {
+        let written = kind.write_ply_parts(self.out, kept.counts, |ply| {
             for (done, part) in parts.iter().enumerate() {
                 ply.vertices(&self.grown.part(part.clone(), &kept)?.out_of_frame(self.frame))?;
                 on_event(FuseEvent::Progress { stage: Stage::Write, done: done + 1, of: parts.len() })?;
@@ -97,9 +100,19 @@ impl Keeper for InFiles<'_> {
                 let left: Vec<_> = triangles.iter().filter_map(|triangle| kept.triangle(*triangle)).collect();
                 ply.triangles(&left)
             })?;
-            Ok::<_, MeshError>(())
-        })?;
-        Ok(kept.counts)
+            Ok(())
+        });
+        written.map(|()| kept.counts).map_err(|error| self.not_written(error, kept.counts))
+    }
+}
+
+impl InFiles<'_> {
+    /// An error of writing a mesh with these counts. That of a full disk counts the files as free and as needed: they are gone when
+    /// the user reads it.
+    fn not_written(&self, error: MeshError, MeshCounts { vertices, triangles }: MeshCounts) -> MeshError {
+        let MeshError::Scene(error) = error else { return error };
+        let bytes = vertices * VERTEX_BYTES + triangles * (1 + size_of::<[u32; 3]>() as u64);
+        beside(told(&self.folder, error, bytes), self.grown.bytes()).into()
     }
 }
 
@@ -110,13 +123,21 @@ impl Columns {
 
     /// Appends a part of the mesh, and fills in vertices of triangles before it.
     fn append(&mut self, part: &Mesh, late: &[LateCorner]) -> Result<(), SceneError> {
-        self.positions.append(&part.positions)?;
-        self.rgb.append(&part.rgb)?;
+        let others = self.bytes() - self.positions.bytes();
+        self.positions.append(&part.positions).map_err(|error| beside(error, others))?;
+        let others = self.bytes() - self.rgb.bytes();
+        self.rgb.append(&part.rgb).map_err(|error| beside(error, others))?;
         for LateCorner { triangle, corner, vertex } in late {
             self.corners.set(3 * u64::from(*triangle) + u64::from(*corner), *vertex)?;
         }
-        self.corners.append(part.triangles.as_flattened())?;
+        let others = self.bytes() - self.corners.bytes();
+        self.corners.append(part.triangles.as_flattened()).map_err(|error| beside(error, others))?;
         Ok(())
+    }
+
+    /// Bytes of the files.
+    fn bytes(&self) -> u64 {
+        self.positions.bytes() + self.rgb.bytes() + self.corners.bytes()
     }
 
     fn without_specks(&self) -> Result<Kept, SceneError> {

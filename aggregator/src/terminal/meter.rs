@@ -83,13 +83,13 @@ impl Meter {
     pub fn show_fusion(&mut self, event: FuseEvent, now_s: f64) {
         match event {
             FuseEvent::Progress { stage, done, of } => {
-                let stage = match stage {
-                    Stage::Look => "measuring depths",
-                    Stage::Find => "finding surfaces",
-                    Stage::Fuse => "fusing",
-                    Stage::Write => "writing",
+                let (unit, stage) = match stage {
+                    Stage::Look => ("view", "measuring depths"),
+                    Stage::Find => ("view", "finding surfaces"),
+                    Stage::Fuse => ("view", "fusing"),
+                    Stage::Write => ("part", "writing"),
                 };
-                self.show(stage, done, of, now_s);
+                self.show_counted(unit, stage, done, of, now_s);
             }
             FuseEvent::Coarser { wanted_m, voxel_m } => {
                 self.notice(&format!("memory is short: voxels of {voxel_m:.3} m instead of {wanted_m:.3} m"))

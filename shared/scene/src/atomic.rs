@@ -64,15 +64,10 @@ pub fn write_sized(
     content_bytes: u64,
     fill: impl FnOnce(&mut BufWriter<File>) -> io::Result<()>,
 ) -> Result<(), SceneError> {
-    write(path, fill).map_err(|error| told(error, path, content_bytes))
-}
-
-/// An error of writing a content of so many bytes. That of a full disk tells how much is free.
-pub(crate) fn told(error: SceneError, path: &Path, content_bytes: u64) -> SceneError {
-    match is_full_disk(&error) {
+    write(path, fill).map_err(|error| match is_full_disk(&error) {
         true => check_space(folder_of(path), content_bytes).err().unwrap_or(error),
         false => error,
-    }
+    })
 }
 
 /// Deletes the temporary files that remain in `folder` if a process was killed during [`write()`]. No

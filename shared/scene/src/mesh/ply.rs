@@ -37,22 +37,15 @@ pub(super) fn write_parts<E: From<SceneError>>(
     let mut failed = None;
     let written = atomic::write(path, |out| {
         out.write_all(header_of(kind, counts).as_bytes())?;
-        fill(&mut MeshWriter { out, path, least_bytes: least_bytes(kind, counts) }).map_err(|error| {
+        fill(&mut MeshWriter { out, path }).map_err(|error| {
             failed = Some(error);
             io::ErrorKind::Other.into()
         })
     });
     match failed {
         Some(error) => Err(error),
-        None => Ok(written.map_err(|error| atomic::told(error, path, least_bytes(kind, counts)))?),
+        None => Ok(written?),
     }
-}
-
-/// Size of the file of a mesh without its header, if its positions are of the type `float`.
-fn least_bytes(kind: &Mesh, MeshCounts { vertices, triangles }: MeshCounts) -> u64 {
-    let normal = if kind.normals.is_empty() { 0 } else { 12 };
-    let rgb = if kind.rgb.is_empty() { 0 } else { 3 };
-    vertices * (12 + normal + rgb) + triangles * (1 + 12)
 }
 
 /// How many vertices and triangles a mesh has.
@@ -68,7 +61,6 @@ pub struct MeshCounts {
 pub struct MeshWriter<'a> {
     out: &'a mut BufWriter<File>,
     path: &'a Path,
-    least_bytes: u64,
 }
 
 impl MeshWriter<'_> {
@@ -88,7 +80,7 @@ impl MeshWriter<'_> {
     }
 
     fn failed(&self, cause: io::Error) -> SceneError {
-        atomic::told(SceneError::io(self.path, cause), self.path, self.least_bytes)
+        SceneError::io(self.path, cause)
     }
 }
 
