@@ -114,12 +114,15 @@ impl<T: Pod> Column<T> {
     pub(crate) fn append(&mut self, values: &[T]) -> Result<u64, SceneError> {
         let held_bytes = self.bytes();
         let file = self.file.get_mut().unwrap_or_else(PoisonError::into_inner);
-        let write = |file: &mut File| {
+        let write = |mut file: &File| {
             file.seek(SeekFrom::Start(held_bytes))?;
             file.write_all(bytemuck::cast_slice(values))
         };
         let bytes = size_of_val(values);
-        write(file).map_err(|cause| not_written(&self.folder, cause, held_bytes, bytes))?;
+        write(file).map_err(|cause| {
+            let _ = file.set_len(held_bytes); // what was written of the values must not count as taken
+            not_written(&self.folder, cause, held_bytes, bytes)
+        })?;
         let at = self.len;
         self.len += values.len() as u64;
         Ok(at)

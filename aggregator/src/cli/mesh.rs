@@ -38,7 +38,7 @@ pub(crate) struct MeshArgs {
     voxel: Option<f64>,
     /// Memory limit, for example 500MiB; with less, the model is read and the surface fused in several parts. If it is too
     /// small for the mesh, voxels become larger, which a line on standard error reports. A .ply without --triangles needs the
-    /// least, because its triangles are in files without names beside it meanwhile
+    /// least, because it grows in files beside it, which take as much of the disk as itself
     #[arg(long, value_name = "BYTES", default_value = "2GiB", value_parser = parse_bytes)]
     memory: u64,
     /// Render pictures whose long side is at most this many pixels [default: the cameras' size]
