@@ -5,8 +5,8 @@
 //! through. Then as many blocks as fit are allocated at once, the views are fused into them one after the other, and their
 //! triangles are added to the mesh; then the next blocks. Each view is fused into all blocks in parallel, so the mesh has
 //! the same bytes for any number of threads, and for any division of the blocks. If the memory is too small for the mesh
-//! with the wanted voxels, the voxels become larger; [`mesh_to_ply`] needs an eighth of the memory for the mesh, because it keeps
-//! it in files. [`mesh_file`] refuses a memory limit that is too small for any mesh.
+//! with the wanted voxels, the voxels become larger; [`mesh_to_ply`] needs a seventh of the memory for the mesh, because
+//! it keeps it in files. [`mesh_file`] refuses a memory limit that is too small for any mesh.
 //!
 //! What it knows nothing about: how views are rendered. [`fuse()`] takes a [`Painter`]; only [`mesh_file`] knows a
 //! renderer.
@@ -38,5 +38,5 @@ pub use error::MeshError;
 pub use event::{FuseEvent, Stage};
 pub use fuse::{FuseSettings, Fused, fuse};
 pub(crate) use model::render_each;
-pub use model::{Scene, mesh_file, mesh_to_ply};
+pub use model::{MeshSource, mesh_file, mesh_to_ply};
 pub use painter::Painter;

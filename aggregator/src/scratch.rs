@@ -1,4 +1,4 @@
-//! Files for what a merge or a mesh does not keep in memory. They have no names, so nothing is left of them, however the program
+//! Temporary files for what a merge or a mesh does not keep in memory. They have no names, so nothing is left of them, however the program
 //! ends.
 
 use std::fs::File;
@@ -8,8 +8,8 @@ use std::path::{Path, PathBuf};
 use std::sync::{Mutex, PoisonError};
 
 use bytemuck::Pod;
-use cosurf_scene::files::{self, is_full_disk};
-use cosurf_scene::{SceneError, Splats, check_space};
+use cosurf_scene::files::{self, with_space};
+use cosurf_scene::{SceneError, Splats};
 use serde::Serialize;
 use serde::de::DeserializeOwned;
 
@@ -84,6 +84,11 @@ impl Scratch {
         Ok(Self(folder.to_owned()))
     }
 
+    /// The folder.
+    pub(crate) fn folder(&self) -> &Path {
+        &self.0
+    }
+
     /// An empty file of values.
     pub(crate) fn column<T: Pod>(&self) -> Result<Column<T>, SceneError> {
         Ok(Column { file: self.file()?, folder: self.0.clone(), len: 0, of: PhantomData })
@@ -120,7 +125,7 @@ impl<T: Pod> Column<T> {
         };
         let bytes = size_of_val(values);
         write(file).map_err(|cause| {
-            let _ = file.set_len(held_bytes); // what was written of the values must not count as taken
+            let _ = file.set_len(held_bytes); // gives back what was written, so that it counts as free
             not_written(&self.folder, cause, held_bytes, bytes)
         })?;
         let at = self.len;
@@ -183,18 +188,10 @@ impl Floats {
 /// The error of a write of so many bytes to a file that has `held_bytes`. Those count as free and as needed: once the work has
 /// failed they are free, and the next attempt needs them again.
 fn not_written(folder: &Path, cause: io::Error, held_bytes: u64, bytes: usize) -> SceneError {
-    beside(told(folder, SceneError::io(folder, cause), bytes as u64), held_bytes)
+    beside(with_space(SceneError::io(folder, cause), folder, bytes as u64), held_bytes)
 }
 
-/// An error of writing so many bytes into `folder`. That of a full disk tells how much is free.
-pub(crate) fn told(folder: &Path, error: SceneError, bytes: u64) -> SceneError {
-    match is_full_disk(&error) {
-        true => check_space(folder, bytes).err().unwrap_or(error),
-        false => error,
-    }
-}
-
-/// The error with the bytes of other files that the failed work had: see [`not_written`].
+/// That of a full disk with more bytes free and needed: those of files that the failed work had, see [`not_written`].
 pub(crate) fn beside(error: SceneError, held_bytes: u64) -> SceneError {
     match error {
         SceneError::DiskFull { folder, free_bytes, needed_bytes } => SceneError::DiskFull {

@@ -5,7 +5,7 @@ use std::thread::available_parallelism;
 
 use anyhow::Result;
 use cosurf_aggregator::evaluate::accuracy;
-use cosurf_aggregator::mesh::{FuseSettings, Scene, mesh_file};
+use cosurf_aggregator::mesh::{FuseSettings, MeshSource, mesh_file};
 use cosurf_scene::{Camera, LocalFrame, Mesh, Splats, ply};
 
 /// Memory limit of the mesh, bytes.
@@ -21,8 +21,8 @@ pub(crate) fn f_score(splats: Splats, cameras: &[Camera], truth: &Mesh, threshol
     ply::write(&path, &splats, &LocalFrame::WORLD)?;
     drop(splats);
     let go = |_| ControlFlow::Continue(());
-    let scene = Scene { model: path, frame: &LocalFrame::WORLD, cameras, max_size_px: None };
-    let fused = mesh_file(&scene, &settings, threads, go)?;
+    let source = MeshSource { model: path, frame: &LocalFrame::WORLD, cameras, max_size_px: None };
+    let fused = mesh_file(&source, &settings, threads, go)?;
     let (accuracy, _) = accuracy::judge(&fused.mesh, truth, threshold_m, 0)?;
     Ok(accuracy.samples.f_score)
 }

@@ -9,7 +9,7 @@ use std::time::Instant;
 use anyhow::{Result, bail, ensure};
 use clap::Args;
 use cosurf_aggregator::Meter;
-use cosurf_aggregator::mesh::{FuseSettings, Fused, Scene, decimate, mesh_file, mesh_to_ply};
+use cosurf_aggregator::mesh::{FuseSettings, Fused, MeshSource, decimate, mesh_file, mesh_to_ply};
 use cosurf_contract::counted;
 use cosurf_scene::bytes::{format_bytes, parse_bytes};
 use cosurf_scene::{Dataset, LocalFrame, Mesh, MeshCounts, atomic, model, ply};
@@ -38,7 +38,7 @@ pub(crate) struct MeshArgs {
     voxel: Option<f64>,
     /// Memory limit, for example 500MiB; with less, the model is read and the surface fused in several parts. If it is too
     /// small for the mesh, voxels become larger, which a line on standard error reports. A .ply without --triangles needs the
-    /// least, because it grows in files beside it, which take as much of the disk as itself
+    /// least memory: the mesh is in temporary files beside it until it is finished, which need as much space again on the disk
     #[arg(long, value_name = "BYTES", default_value = "2GiB", value_parser = parse_bytes)]
     memory: u64,
     /// Render pictures whose long side is at most this many pixels [default: the cameras' size]
@@ -72,12 +72,12 @@ pub(crate) fn run(args: &MeshArgs) -> Result<()> {
         meter.show_fusion(event, begun.elapsed().as_secs_f64());
         ControlFlow::Continue(())
     };
-    let scene = Scene { model, frame: &frame, cameras: &cameras, max_size_px: args.max_size };
+    let source = MeshSource { model, frame: &frame, cameras: &cameras, max_size_px: args.max_size };
     let is_streamed = args.triangles.is_none() && args.out.extension().is_some_and(|kind| kind == "ply");
     let fused = if is_streamed {
-        mesh_to_ply(&scene, &settings, threads, &args.out, on_event)?
+        mesh_to_ply(&source, &settings, threads, &args.out, on_event)?
     } else {
-        let fused = mesh_file(&scene, &settings, threads, on_event)?.out_of_frame(&frame);
+        let fused = mesh_file(&source, &settings, threads, on_event)?.out_of_frame(&frame);
         fused.try_map(|mesh| write(args, mesh))?
     };
     meter.finish();
@@ -91,7 +91,7 @@ fn write(args: &MeshArgs, mut mesh: Mesh) -> Result<MeshCounts> {
         ensure!(!mesh.triangles.is_empty(), "no surface is left with {triangles} triangles; ask for more");
     }
     mesh.write(&args.out)?;
-    Ok(MeshCounts { vertices: mesh.positions.len() as u64, triangles: mesh.triangles.len() as u64 })
+    Ok(mesh.counts())
 }
 
 fn print(args: &MeshArgs, fused: &Fused<MeshCounts>, seconds: f64) -> Result<()> {

@@ -30,7 +30,7 @@ const SEARCH_BYTES_PER_PIXEL: u64 = 32;
 /// Least number of blocks. With fewer blocks, voxels would be larger than houses, and the mesh useless.
 const BLOCKS_LEAST: u64 = 64;
 
-/// Bytes of memory that the mesh takes.
+/// Bytes of memory that a mesh takes.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub(super) struct MeshBytes {
     /// The most per block of the whole mesh, with the block's key.

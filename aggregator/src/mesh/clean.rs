@@ -19,7 +19,7 @@ impl Pieces {
     /// Bytes per vertex.
     pub(super) const VERTEX_BYTES: u64 = 8;
 
-    /// Each of so many vertices is a piece.
+    /// So many vertices, of which each is a piece of its own.
     pub(super) fn new(vertices: usize) -> Self {
         Self { parents: (0..vertices as u32).collect(), triangles: vec![0; vertices] }
     }
@@ -39,7 +39,7 @@ impl Pieces {
         }
     }
 
-    /// What is left without specks, after all triangles were counted.
+    /// Removes specks, after all triangles were counted.
     pub(super) fn without_specks(self) -> Kept {
         let Self { mut parents, triangles } = self;
         // A parent comes before its children, so this makes every parent a root.
@@ -68,27 +68,27 @@ impl Pieces {
 /// Stands for the index of a vertex of a speck.
 const REMOVED: u32 = u32::MAX;
 
-/// What is left of a mesh without specks. All that is left keeps its order.
+/// Which vertices of a mesh stay when specks are removed, and their new indices. They keep their order.
 pub(super) struct Kept {
-    /// For each vertex before, its index, or [`REMOVED`].
+    /// For each vertex of the mesh with specks, its new index, or [`REMOVED`].
     indices: Vec<u32>,
-    /// Number of vertices and triangles that are left.
+    /// Number of vertices and triangles that stay.
     pub(super) counts: MeshCounts,
 }
 
 impl Kept {
-    /// Whether a vertex is left.
+    /// Whether a vertex stays.
     pub(super) fn has(&self, vertex: usize) -> bool {
         self.indices[vertex] != REMOVED
     }
 
-    /// A triangle with the indices that its vertices have now; `None` if it belongs to a speck.
+    /// A triangle with the new indices of its vertices; `None` if it belongs to a speck.
     pub(super) fn triangle(&self, triangle: [u32; 3]) -> Option<[u32; 3]> {
         let triangle = triangle.map(|vertex| self.indices[vertex as usize]);
         (triangle[0] != REMOVED).then_some(triangle)
     }
 
-    /// Removes what is not left from a list with one value for each vertex from `first` on.
+    /// Removes the values of vertices that do not stay. `values` has one for each vertex from the index `first` on.
     pub(super) fn retain<T: Copy>(&self, first: usize, values: &mut Vec<T>) {
         let mut vertex = first;
         values.retain(|_| {

@@ -1,7 +1,7 @@
 //! Marching cubes over the blocks, one volume after the other, each in two passes. The first pass counts vertices and
 //! triangles, so that the mesh grows once. The second pass writes the triangles of each block into the block's own range of
 //! the mesh. A triangle at the border of a volume has vertices in blocks of a later one; they are filled in then. So the mesh
-//! has the same bytes for any division into volumes. Its beginning may be moved out of the memory meanwhile.
+//! has the same bytes for any division into volumes. What the mesh has so far may be moved out of the memory between two volumes.
 
 use cosurf_scene::{Mesh, MeshCounts};
 use glam::{DVec3, IVec3};
@@ -96,7 +96,7 @@ impl Layout {
         self.own_bytes() + vertices * VERTEX_BYTES + triangles * TRIANGLE_BYTES
     }
 
-    /// Bytes of the layout, and of what these blocks add to the mesh, if all before was moved out of the memory.
+    /// Bytes of the layout, and of what these blocks add to the mesh, if the rest was moved out of the memory.
     pub(super) fn moved_bytes(&self) -> u64 {
         let more = self.more();
         self.own_bytes() + more.vertices * MOVED_VERTEX_BYTES + more.triangles * TRIANGLE_BYTES
@@ -123,16 +123,16 @@ impl Layout {
 /// A mesh that grows volume by volume, without normals. Some vertices may belong to no triangle.
 #[derive(Debug, Default)]
 pub(super) struct Extraction {
-    /// The part in memory. Its triangles have the indices of the whole mesh.
+    /// What was not moved out of the memory. Its triangles name vertices by their indices in the whole mesh.
     mesh: Mesh,
     /// Counts of what was moved out of the memory.
     moved: MeshCounts,
     pending: Vec<Pending>,
-    /// Vertices of triangles that had been moved before.
+    /// Vertices that triangles need which were moved out of the memory before.
     late: Vec<LateCorner>,
 }
 
-/// The vertex of a triangle that was moved out of the memory before the vertex was there.
+/// A vertex of a triangle that was moved out of the memory before the vertex had an index.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub(super) struct LateCorner {
     /// Index of the triangle in the mesh.
@@ -165,13 +165,11 @@ impl Extraction {
 
     /// Counts of the whole mesh so far.
     pub(super) fn counts(&self) -> MeshCounts {
-        MeshCounts {
-            vertices: self.moved.vertices + self.mesh.positions.len() as u64,
-            triangles: self.moved.triangles + self.mesh.triangles.len() as u64,
-        }
+        let MeshCounts { vertices, triangles } = self.mesh.counts();
+        MeshCounts { vertices: self.moved.vertices + vertices, triangles: self.moved.triangles + triangles }
     }
 
-    /// Moves the part in memory out of it, with the vertices of triangles that were moved before.
+    /// Returns what is in memory and forgets it, and vertices for triangles that were returned before.
     pub(super) fn move_out(&mut self) -> (Mesh, Vec<LateCorner>) {
         self.moved = self.counts();
         (std::mem::take(&mut self.mesh), std::mem::take(&mut self.late))

@@ -1,10 +1,12 @@
-//! A mesh that need not fit into the memory: it grows in files without names beside the PLY that is written at the end. Only
-//! the part that is being made is in memory, and at the end the piece that each vertex belongs to.
+//! A mesh that need not fit into the memory: while it grows, it is in temporary files in the folder of the PLY that is written at
+//! the end. In memory are only the triangles of the blocks that are being fused, and at the end eight bytes for each vertex, which
+//! tell the connected piece that it belongs to.
 
 use std::ops::Range;
-use std::path::{Path, PathBuf};
+use std::path::Path;
 
-use cosurf_scene::{LocalFrame, Mesh, MeshCounts, SceneError};
+use cosurf_scene::files::with_space;
+use cosurf_scene::{LocalFrame, Mesh, MeshCounts, SceneError, atomic};
 use glam::Vec3;
 
 use super::budget::MeshBytes;
@@ -13,7 +15,7 @@ use super::error::MeshError;
 use super::event::{FuseEvent, Stage};
 use super::extract::{Extraction, LateCorner, Layout};
 use super::keeper::Keeper;
-use crate::scratch::{Column, Scratch, beside, told};
+use crate::scratch::{Column, Scratch, beside};
 
 /// Triangles that are read at once.
 const TRIANGLES_AT_ONCE: usize = 1 << 13;
@@ -21,22 +23,21 @@ const TRIANGLES_AT_ONCE: usize = 1 << 13;
 const VERTEX_BYTES: u64 = 12 + 12 + 3;
 /// Fewest vertices whose part of the file is made at once.
 const VERTICES_LEAST: u64 = 1 << 12;
-/// Bytes for the fewest vertices and for triangles that are read.
+/// Bytes that writing the PLY takes at least, beside those for each vertex of the mesh.
 const END_BYTES: u64 = VERTICES_LEAST * VERTEX_BYTES + (TRIANGLES_AT_ONCE * 2 * size_of::<[u32; 3]>()) as u64;
 
-/// Keeps a mesh in files, and writes it as a PLY.
+/// Keeps a growing mesh in temporary files, and writes it as a PLY.
 pub(super) struct InFiles<'a> {
     /// The PLY.
     out: &'a Path,
     /// The frame that the mesh is in. The PLY is in the world.
     frame: &'a LocalFrame,
-    /// The folder of both.
-    folder: PathBuf,
+    /// Makes files in the folder of the PLY.
     scratch: Scratch,
     grown: Columns,
 }
 
-/// The mesh so far. Triangles have three indices of vertices each.
+/// The mesh so far. In `corners`, each triangle has the indices of its three vertices.
 struct Columns {
     positions: Column<[f32; 3]>,
     rgb: Column<[u8; 3]>,
@@ -44,13 +45,11 @@ struct Columns {
 }
 
 impl<'a> InFiles<'a> {
-    /// Nothing is kept yet.
+    /// Makes empty files, for a mesh in `frame` that is to become the PLY `out`.
     pub(super) fn new(out: &'a Path, frame: &'a LocalFrame) -> Result<Self, SceneError> {
-        let folder = out.parent().filter(|folder| !folder.as_os_str().is_empty());
-        let folder = folder.map_or(PathBuf::from("."), Path::to_path_buf);
-        let scratch = Scratch::new(&folder)?;
+        let scratch = Scratch::new(atomic::folder_of(out))?;
         let grown = Columns::new(&scratch)?;
-        Ok(Self { out, frame, folder, scratch, grown })
+        Ok(Self { out, frame, scratch, grown })
     }
 }
 
@@ -66,7 +65,7 @@ impl Keeper for InFiles<'_> {
         layout.after.vertices * Pieces::VERTEX_BYTES + END_BYTES
     }
 
-    fn begin(&mut self) -> Result<(), MeshError> {
+    fn forget(&mut self) -> Result<(), MeshError> {
         self.grown = Columns::new(&self.scratch)?;
         Ok(())
     }
@@ -107,12 +106,12 @@ impl Keeper for InFiles<'_> {
 }
 
 impl InFiles<'_> {
-    /// An error of writing a mesh with these counts. That of a full disk counts the files as free and as needed: they are gone when
-    /// the user reads it.
+    /// The error of writing a mesh with these counts. That of a full disk counts the temporary files as free and as needed: they
+    /// are gone when the user reads it, and the next attempt needs them again.
     fn not_written(&self, error: MeshError, MeshCounts { vertices, triangles }: MeshCounts) -> MeshError {
         let MeshError::Scene(error) = error else { return error };
         let bytes = vertices * VERTEX_BYTES + triangles * (1 + size_of::<[u32; 3]>() as u64);
-        beside(told(&self.folder, error, bytes), self.grown.bytes()).into()
+        beside(with_space(error, self.scratch.folder(), bytes), self.grown.bytes()).into()
     }
 }
 
@@ -121,7 +120,7 @@ impl Columns {
         Ok(Self { positions: scratch.column()?, rgb: scratch.column()?, corners: scratch.column()? })
     }
 
-    /// Appends a part of the mesh, and fills in vertices of triangles before it.
+    /// Appends a part of the mesh, and fills in vertices that triangles of earlier parts were waiting for.
     fn append(&mut self, part: &Mesh, late: &[LateCorner]) -> Result<(), SceneError> {
         let others = self.bytes() - self.positions.bytes();
         self.positions.append(&part.positions).map_err(|error| beside(error, others))?;
@@ -169,8 +168,8 @@ impl Columns {
         Ok(())
     }
 
-    /// Those of these vertices that are left, with their normals and without triangles. The normals are sums over all triangles
-    /// in their order, so they are those of [`clean::normals`], to the bit.
+    /// The vertices of a range that belong to no speck, with normals, without triangles. Reads all triangles once, and adds up
+    /// their normals in their order, so the sums are those of [`clean::normals`], to the bit.
     fn part(&self, vertices: Range<u64>, kept: &Kept) -> Result<Mesh, SceneError> {
         let count = (vertices.end - vertices.start) as usize;
         let (mut positions, mut rgb) = (vec![[0.0; 3]; count], vec![[0; 3]; count]);

@@ -57,12 +57,12 @@ impl Fused {
 }
 
 impl<M> Fused<M> {
-    /// With lengths in other units, of which one of these has `unit`.
+    /// The same with lengths in other units. `unit` is the length of one of the old units in new ones.
     pub(super) fn in_units(self, unit: f64) -> Self {
         Self { voxel_m: self.voxel_m * unit, pixel_m: self.pixel_m * unit, ..self }
     }
 
-    /// With what is made of the mesh instead of it.
+    /// The same figures, with what `make` makes of the mesh.
     pub fn try_map<N, E>(self, make: impl FnOnce(M) -> Result<N, E>) -> Result<Fused<N>, E> {
         let Self { mesh, voxel_m, pixel_m, blocks, parts, peak_bytes } = self;
         Ok(Fused { mesh: make(mesh)?, voxel_m, pixel_m, blocks, parts, peak_bytes })
@@ -86,7 +86,7 @@ pub fn fuse(
     fuse_into(&mut InMemory, cameras, painter, settings, on_event)
 }
 
-/// As [`fuse()`], with the mesh that `keeper` makes.
+/// As [`fuse()`], with what `keeper` makes of the mesh.
 pub(super) fn fuse_into<K: Keeper>(
     keeper: &mut K,
     cameras: &[Camera],
@@ -112,6 +112,7 @@ pub(super) fn fuse_into<K: Keeper>(
             Some(fused) => return Ok(fused),
             None => voxel_m *= COARSER,
         }
+        keeper.forget()?;
         on_event(FuseEvent::Coarser { wanted_m, voxel_m })?;
     }
 }
@@ -141,7 +142,6 @@ impl Stages<'_> {
             return Err(MeshError::NoSurface);
         }
         let parts = parts::divide(&keys, budget.part_max(keys.len()));
-        keeper.begin()?;
         let (mut extraction, mut peak_bytes) = (Extraction::default(), 0);
         for (part, own) in parts.iter().enumerate() {
             let done = [part, parts.len()].map(|parts| parts * cameras.len());

@@ -1,4 +1,4 @@
-//! Where a mesh is while it grows, and what becomes of it: all of it stays in memory here, see [`super::files`] for others.
+//! Where a mesh is while it grows, and what is made of it in the end. [`InMemory`] keeps it in memory; [`super::files`] does not.
 
 use cosurf_scene::Mesh;
 
@@ -12,7 +12,7 @@ use super::extract::{Extraction, Layout};
 pub(super) trait Keeper {
     /// What is made of the mesh.
     type Made;
-    /// Memory that the mesh takes.
+    /// Memory that the mesh takes for each block.
     const BYTES: MeshBytes;
 
     /// Bytes of memory that the mesh takes with the blocks of `layout`, and the layout.
@@ -21,14 +21,14 @@ pub(super) trait Keeper {
     /// Bytes of memory that [`Self::finish`] takes for a mesh that ends with the blocks of `layout`.
     fn end_bytes(layout: &Layout) -> u64;
 
-    /// Forgets everything, as another mesh begins.
-    fn begin(&mut self) -> Result<(), MeshError>;
+    /// Forgets everything, because the fusion starts over.
+    fn forget(&mut self) -> Result<(), MeshError>;
 
-    /// May move what the mesh has so far out of the memory.
+    /// Called after each part: may move what the mesh has so far out of the memory.
     fn keep(&mut self, extraction: &mut Extraction) -> Result<(), MeshError>;
 
-    /// Removes specks, computes normals, and makes what is to be made, with at most `memory_bytes`, or with
-    /// [`Self::end_bytes`] if that is more.
+    /// Removes specks, computes normals, and makes the result. Takes at most `memory_bytes`, which is not less than
+    /// [`Self::end_bytes`].
     fn finish(
         &mut self,
         extraction: Extraction,
@@ -52,7 +52,7 @@ impl Keeper for InMemory {
         0 // less than while the last blocks were there
     }
 
-    fn begin(&mut self) -> Result<(), MeshError> {
+    fn forget(&mut self) -> Result<(), MeshError> {
         Ok(())
     }
 

@@ -19,9 +19,9 @@ use super::keeper::{InMemory, Keeper};
 use super::painter::Painter;
 use super::scout::FIND_LEAST_PX;
 
-/// A splat model of which a mesh is made, and from where.
+/// What a mesh is made of: a splat model, and the cameras to render it from.
 #[derive(Clone, Debug)]
-pub struct Scene<'a> {
+pub struct MeshSource<'a> {
     /// The PLY file of the model.
     pub model: PathBuf,
     /// The frame into which the model is moved. The mesh is in it.
@@ -37,35 +37,35 @@ pub struct Scene<'a> {
 /// `threads` (at least 1) threads; the fusion uses rayon's pool. If `on_event` returns `Break`, the result is
 /// [`MeshError::Stopped`].
 pub fn mesh_file(
-    scene: &Scene,
+    source: &MeshSource,
     settings: &FuseSettings,
     threads: usize,
     on_event: impl FnMut(FuseEvent) -> ControlFlow<()>,
 ) -> Result<Fused, MeshError> {
-    made(&mut InMemory, scene, settings, threads, on_event)
+    made(&mut InMemory, source, settings, threads, on_event)
 }
 
 /// As [`mesh_file`], and writes the mesh as a PLY in the world, whose bytes are those of [`mesh_file`]'s mesh. The mesh need not
-/// fit into the memory; while it grows, it is in files without names beside `out`. The lengths of the result are in world units.
+/// fit into the memory: while it grows, it is in temporary files in the folder of `out`. Lengths in the result are in world units.
 pub fn mesh_to_ply(
-    scene: &Scene,
+    source: &MeshSource,
     settings: &FuseSettings,
     threads: usize,
     out: &Path,
     on_event: impl FnMut(FuseEvent) -> ControlFlow<()>,
 ) -> Result<Fused<MeshCounts>, MeshError> {
-    let mut files = InFiles::new(out, scene.frame)?;
-    Ok(made(&mut files, scene, settings, threads, on_event)?.in_units(scene.frame.unit()))
+    let mut files = InFiles::new(out, source.frame)?;
+    Ok(made(&mut files, source, settings, threads, on_event)?.in_units(source.frame.unit()))
 }
 
 fn made<K: Keeper>(
     keeper: &mut K,
-    scene: &Scene,
+    source: &MeshSource,
     settings: &FuseSettings,
     threads: usize,
     on_event: impl FnMut(FuseEvent) -> ControlFlow<()>,
 ) -> Result<Fused<K::Made>, MeshError> {
-    let Scene { model, frame, cameras, max_size_px } = scene;
+    let MeshSource { model, frame, cameras, max_size_px } = source;
     let mut views = open(model.clone(), frame, threads)?;
     let _span = info_span!("mesh", splats = views.splats()).entered();
     let max_size_px = max_size_px.unwrap_or(u32::MAX);

@@ -327,8 +327,9 @@ fn splats_become_a_mesh_or_a_clear_error() {
         let folder = tempfile::tempdir().unwrap();
         let path = folder.path().join("model.ply");
         ply::write(&path, &splats, &LocalFrame::WORLD).unwrap();
-        let scene = Scene { model: path, frame: &LocalFrame::WORLD, cameras: &above, max_size_px: Some(100) };
-        mesh_file(&scene, &settings(None, memory_bytes), 2, |_| GO)
+        let source =
+            MeshSource { model: path, frame: &LocalFrame::WORLD, cameras: &above, max_size_px: Some(100) };
+        mesh_file(&source, &settings(None, memory_bytes), 2, |_| GO)
     };
     let mesh = mesh_of(wall(), 200 << 20).unwrap().mesh;
     let (_, mean) = offsets(&mesh, |p| p.z);
@@ -357,8 +358,8 @@ fn the_mesh_is_the_same_in_many_parts() {
     assert!(parts[0] > 1 && parts[1] > parts[0], "{parts:?}");
 }
 
-/// Goal: a mesh that grows in files has the same bytes, and fits where one in memory has larger voxels. Method: a box with memory
-/// in plenty, then with so little that the blocks are fused in many parts, and the file is made in several.
+/// Goal: a mesh that grows in files has the same bytes as one in memory, and keeps its voxels with less memory. Method: a box with
+/// plenty of memory; then with so little that the blocks are fused, and the file written, in several parts.
 #[test]
 fn a_mesh_that_grows_in_files_is_the_same_in_less_memory() {
     let cameras = cameras(60, 160);

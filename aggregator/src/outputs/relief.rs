@@ -4,10 +4,10 @@
 use std::ops::ControlFlow;
 use std::path::Path;
 
-use cosurf_scene::files::is_full_disk;
-use cosurf_scene::{Camera, Caster, LocalFrame, Mesh, SceneError, check_space};
+use cosurf_scene::files::with_space;
+use cosurf_scene::{Camera, Caster, LocalFrame, Mesh, SceneError, atomic};
 
-use crate::mesh::{self, FuseEvent, FuseSettings, Fused, MeshError, mesh_file};
+use crate::mesh::{FuseEvent, FuseSettings, Fused, MeshError, MeshSource, mesh_file};
 use crate::report::MeshSummary;
 
 /// The part of the memory that is left for the caster, which is made while the mesh is there: without it, a mission of 100 MiB
@@ -35,8 +35,8 @@ pub(crate) fn relief(
     on_event: impl FnMut(FuseEvent) -> ControlFlow<()>,
 ) -> Result<Relief, SceneError> {
     let settings = FuseSettings { voxel_m: None, memory_bytes: memory_bytes - memory_bytes / CASTER_SHARE };
-    let scene = mesh::Scene { model: model.to_owned(), frame, cameras, max_size_px: None };
-    let fused = match mesh_file(&scene, &settings, threads, on_event) {
+    let source = MeshSource { model: model.to_owned(), frame, cameras, max_size_px: None };
+    let fused = match mesh_file(&source, &settings, threads, on_event) {
         Ok(fused) => fused,
         Err(MeshError::Scene(error)) => return Err(error),
         Err(error) => return Ok(Relief::Missing(error)),
@@ -49,10 +49,7 @@ pub(crate) fn relief(
 
 /// Writes a mesh. If the disk is too full for it, the error tells how much is free and needed.
 fn write(mesh: &Mesh, file: &Path) -> Result<(), SceneError> {
-    mesh.write(file).map_err(|error| match file.parent().filter(|_| is_full_disk(&error)) {
-        Some(folder) => check_space(folder, least_bytes(mesh)).err().unwrap_or(error),
-        None => error,
-    })
+    mesh.write(file).map_err(|error| with_space(error, atomic::folder_of(file), least_bytes(mesh)))
 }
 
 /// Least size of a mesh in a PLY file, without its header.

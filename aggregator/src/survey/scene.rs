@@ -9,7 +9,7 @@ use cosurf_scene::{Camera, Dataset, LocalFrame, Mesh, Splats, model, ply};
 
 use super::depths::DepthMap;
 use super::error::SurveyError;
-use crate::mesh::{self, FuseEvent, FuseSettings, mesh_file, render_each};
+use crate::mesh::{FuseEvent, FuseSettings, MeshSource, mesh_file, render_each};
 
 /// A model that has not been read.
 #[derive(Debug)]
@@ -64,8 +64,8 @@ impl Scene {
     ) -> Result<Relief, SurveyError> {
         let settings = FuseSettings { voxel_m: None, memory_bytes };
         let (model, cameras) = (self.model.clone(), self.local_cameras());
-        let scene = mesh::Scene { model, frame: &self.frame, cameras: &cameras, max_size_px: None };
-        let fused = mesh_file(&scene, &settings, threads, |event| {
+        let source = MeshSource { model, frame: &self.frame, cameras: &cameras, max_size_px: None };
+        let fused = mesh_file(&source, &settings, threads, |event| {
             on_event(event);
             ControlFlow::Continue(())
         });

@@ -8,8 +8,8 @@ use std::io::{self, BufWriter, Write};
 use std::path::{Path, PathBuf};
 use std::sync::atomic::{AtomicU64, Ordering};
 
+use crate::SceneError;
 use crate::files::{self, is_full_disk};
-use crate::{SceneError, check_space};
 
 /// Size of the write buffer, bytes; a larger buffer brings no measurable gain.
 const BUFFER_BYTES: usize = 256 * 1024;
@@ -64,10 +64,7 @@ pub fn write_sized(
     content_bytes: u64,
     fill: impl FnOnce(&mut BufWriter<File>) -> io::Result<()>,
 ) -> Result<(), SceneError> {
-    write(path, fill).map_err(|error| match is_full_disk(&error) {
-        true => check_space(folder_of(path), content_bytes).err().unwrap_or(error),
-        false => error,
-    })
+    write(path, fill).map_err(|error| files::with_space(error, folder_of(path), content_bytes))
 }
 
 /// Deletes the temporary files that remain in `folder` if a process was killed during [`write()`]. No
@@ -155,7 +152,8 @@ fn partial_path(path: &Path) -> PathBuf {
     folder_of(path).join(name)
 }
 
-fn folder_of(path: &Path) -> &Path {
+/// The folder in which a file with this path lies.
+pub fn folder_of(path: &Path) -> &Path {
     path.parent().filter(|folder| !folder.as_os_str().is_empty()).unwrap_or(Path::new("."))
 }
 

@@ -6,7 +6,7 @@ use std::fs::{self, File};
 use std::io::{self, Read};
 use std::path::{Path, PathBuf};
 
-use crate::SceneError;
+use crate::{SceneError, check_space};
 
 /// Damaged files of one name that are kept.
 const KEPT_MAX: u32 = 100;
@@ -97,6 +97,15 @@ pub fn is_full_disk(error: &SceneError) -> bool {
         }
         SceneError::DiskFull { .. } => true,
         _ => false,
+    }
+}
+
+/// The error of a write of so many bytes into `folder`. That of a full disk tells how much is free and needed, unless there is room
+/// again.
+pub fn with_space(error: SceneError, folder: &Path, needed_bytes: u64) -> SceneError {
+    match is_full_disk(&error) {
+        true => check_space(folder, needed_bytes).err().unwrap_or(error),
+        false => error,
     }
 }
 

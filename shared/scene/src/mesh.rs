@@ -13,8 +13,8 @@ mod texture;
 use std::path::Path;
 
 use crate::SceneError;
-pub use data::Mesh;
-pub use ply::{MeshCounts, MeshWriter};
+pub use data::{Mesh, MeshCounts};
+pub use ply::MeshWriter;
 pub use texture::Texture;
 
 impl Mesh {
@@ -49,9 +49,9 @@ impl Mesh {
         ply::write(path, self)
     }
 
-    /// As [`Mesh::write_ply`], for a mesh that need not be in memory as a whole. `fill` writes the vertices, part by part, and
-    /// then the triangles, as many as `counts` says; each part has the origin of `self`, and normals and colours where `self`
-    /// has some. So `self` may be any part of the mesh. The bytes are those of [`Mesh::write_ply`].
+    /// As [`Mesh::write_ply`], with the same bytes, for a mesh that need not be in memory as a whole; `self` is any part of it.
+    /// `fill` writes all vertices, part by part, and then all triangles, as many as `counts` says. Each part must have the origin
+    /// of `self`, and normals and colours if `self` has some.
     pub fn write_ply_parts<E: From<SceneError>>(
         &self,
         path: &Path,

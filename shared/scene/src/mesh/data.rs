@@ -20,7 +20,21 @@ pub struct Mesh {
     pub triangles: Vec<[u32; 3]>,
 }
 
+/// How many vertices and triangles a mesh has.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
+pub struct MeshCounts {
+    /// Number of vertices.
+    pub vertices: u64,
+    /// Number of triangles.
+    pub triangles: u64,
+}
+
 impl Mesh {
+    /// How many vertices and triangles there are.
+    pub fn counts(&self) -> MeshCounts {
+        MeshCounts { vertices: self.positions.len() as u64, triangles: self.triangles.len() as u64 }
+    }
+
     /// Positions of the corners of triangle `i`.
     pub fn corners(&self, i: usize) -> [Vec3; 3] {
         self.triangles[i].map(|vertex| Vec3::from_array(self.positions[vertex as usize]))

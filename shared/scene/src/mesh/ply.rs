@@ -7,7 +7,7 @@ use std::path::Path;
 
 use glam::DVec3;
 
-use super::data::Mesh;
+use super::data::{Mesh, MeshCounts};
 use crate::error::Refusal;
 use crate::ply::{Element, Kind, Rows, Scalar, read_elements};
 use crate::{SceneError, atomic};
@@ -20,8 +20,7 @@ const ORIGIN_STEP: f64 = 1000.0;
 
 /// See [`Mesh::write_ply`].
 pub(super) fn write(path: &Path, mesh: &Mesh) -> Result<(), SceneError> {
-    let counts = MeshCounts { vertices: mesh.positions.len() as u64, triangles: mesh.triangles.len() as u64 };
-    write_parts(path, mesh, counts, |writer| {
+    write_parts(path, mesh, mesh.counts(), |writer| {
         writer.vertices(mesh)?;
         writer.triangles(&mesh.triangles)
     })
@@ -46,15 +45,6 @@ pub(super) fn write_parts<E: From<SceneError>>(
         Some(error) => Err(error),
         None => Ok(written?),
     }
-}
-
-/// How many vertices and triangles a mesh has.
-#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
-pub struct MeshCounts {
-    /// Number of vertices.
-    pub vertices: u64,
-    /// Number of triangles.
-    pub triangles: u64,
 }
 
 /// Writes a mesh part by part: see [`Mesh::write_ply_parts`].
